@@ -1,0 +1,1 @@
+"""Pure mathematics: arrays and numbers in, arrays and records out; no files, no screen."""

@@ -1,0 +1,104 @@
+"""Orientation of a camera over the ground: tilt, roll and yaw from and to rotation matrices."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gvpipe.core.types import Float, Mount, Pose
+
+
+def robot_from_camera(mount: Mount) -> Pose:
+    """Pose of the camera in the robot frame (x forward, y left, z up, on the ground below it).
+
+    Parameters
+    ----------
+    mount : Mount
+        Tilt and roll in radians, height in metres.
+
+    Returns
+    -------
+    robot_from_camera : Pose
+        Takes camera coordinates (x right, y down, z ahead) to robot coordinates, metres.
+
+    Notes
+    -----
+    The optical axis becomes ``(cos tilt, 0, -sin tilt)``. Roll turns the camera about its optical
+    axis first, clockwise seen from behind: from x (right) towards y (down).
+    """
+    c, s = np.cos(mount.tilt), np.sin(mount.tilt)
+    level = np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
+    cr, sr = np.cos(mount.roll), np.sin(mount.roll)
+    about_axis = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
+    return Pose(level @ about_axis, np.array([0.0, 0.0, mount.height]))
+
+
+def yaw_tilt_roll(map_from_camera: Float) -> tuple[float, float, float]:
+    """Split a camera's rotation into yaw, tilt and roll.
+
+    Parameters
+    ----------
+    map_from_camera : (3, 3) float64
+        Rotation from camera axes to a frame whose z axis points up.
+
+    Returns
+    -------
+    yaw : float
+        Heading of the optical axis on the ground, radians, counter-clockwise seen from above.
+        Straight down, yaw and roll coincide; roll is then reported as 0.
+    tilt : float
+        Radians below the horizon.
+    roll : float
+        Radians, clockwise seen from behind the camera.
+    """
+    axis = map_from_camera[:, 2]
+    tilt = float(np.arctan2(-axis[2], np.hypot(axis[0], axis[1])))
+    if np.hypot(axis[0], axis[1]) < 1e-9:
+        # y down of the image then points backwards: (-cos yaw, -sin yaw, 0)
+        return (
+            float(np.arctan2(-map_from_camera[1, 1], -map_from_camera[0, 1])),
+            tilt,
+            0.0,
+        )
+    yaw = float(np.arctan2(axis[1], axis[0]))
+    # row 3 of the rotation is (-cos tilt sin roll, -cos tilt cos roll, -sin tilt)
+    roll = float(np.arctan2(-map_from_camera[2, 0], -map_from_camera[2, 1]))
+    return yaw, tilt, roll
+
+
+def planar_pose(x: float, y: float, yaw: float, mount: Mount) -> Pose:
+    """Pose in the map of a camera carried by a robot at (x, y) with the given heading.
+
+    Parameters
+    ----------
+    x, y : float
+        Position of the robot on the ground, metres.
+    yaw : float
+        Heading, radians, counter-clockwise seen from above.
+    mount : Mount
+        How the robot holds the camera.
+
+    Returns
+    -------
+    map_from_camera : Pose
+        Camera to map, metres.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    map_from_robot = Pose(
+        np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, 0.0])
+    )
+    return map_from_robot @ robot_from_camera(mount)
+
+
+def mount_of(map_from_camera: Pose) -> Mount:
+    """Tilt, roll and height of a camera whose pose in a ground frame (z = 0, up) is known."""
+    _, tilt, roll = yaw_tilt_roll(map_from_camera.rotation)
+    return Mount(tilt=tilt, roll=roll, height=float(map_from_camera.translation[2]))
+
+
+def rotation_vector(rotation: Float) -> Float:
+    """Axis times angle, (3,) radians, of a rotation matrix."""
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
+
+
+def rotation_matrix(rotation_vector: Float) -> Float:
+    """(3, 3) rotation matrix of an axis times angle, (3,) radians."""
+    return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix(), dtype=np.float64)
