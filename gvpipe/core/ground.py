@@ -227,7 +227,7 @@ def ground_points(pixels: Float, camera: Camera, mount: Mount) -> tuple[Float, N
     below_horizon : (N,) bool
         True where the pixel's ray meets the ground.
     """
-    ground_from_pixel: Float = np.linalg.inv(pixel_from_ground(camera, mount))
+    ground_from_pixel = np.linalg.inv(pixel_from_ground(camera, mount)).astype(np.float64)
     w = pixels @ ground_from_pixel[2, :2] + ground_from_pixel[2, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         points = apply(ground_from_pixel, np.asarray(pixels, dtype=np.float64))

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -17,6 +17,7 @@ def kernel(function: F) -> F:
     """
     compile_with = functools.partial(numba.njit, nogil=True, error_model="numpy")
     try:
-        return compile_with(cache=True)(function)
+        compiled = compile_with(cache=True)(function)
     except RuntimeError:  # no writable cache folder: compile in every process instead
-        return compile_with()(function)
+        compiled = compile_with()(function)
+    return cast(F, compiled)
