@@ -1,0 +1,258 @@
+"""Artefact files: canonical JSON, NPZ without pickle, whole or not at all."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from gvpipe.errors import InputError, OutputError
+from gvpipe.records import BODIES, Body, Header
+
+SCHEMA_VERSION = 1
+VOLATILE = ("wall_s",)
+"""Keys that differ between runs of the same input; left out of digests."""
+MAX_JSON_BYTES = 1 << 30
+MAX_NPZ_BYTES = 1 << 34
+"""Sizes beyond which a file is refused unread: no artefact of ours comes near."""
+
+B = TypeVar("B", bound=Body)
+
+
+@dataclass(frozen=True)
+class Artefact(Generic[B]):
+    """A JSON artefact read back.
+
+    Attributes
+    ----------
+    header : Header
+        Provenance.
+    body : Body
+        The stage's own records.
+    folder : Path
+        Where its other files lie.
+    digest : str
+        sha256 of the JSON without its volatile keys.
+    """
+
+    header: Header
+    body: B
+    folder: Path
+    digest: str
+
+    def arrays(self, name: str) -> dict[str, NDArray[Any]]:
+        """Load an NPZ file of this artefact."""
+        return read_npz(self.folder / name)
+
+
+def canonical_json(value: Any) -> str:
+    """Render JSON the same way every time; lists of plain values stay on one line.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
+    """
+    return _render(value, 0) + "\n"
+
+
+def _render(value: Any, depth: int) -> str:
+    pad = " " * (depth + 1)
+    if isinstance(value, dict) and value:
+        rows = (f"{pad}{_scalar(k)}: {_render(v, depth + 1)}" for k, v in value.items())
+        return "{\n" + ",\n".join(rows) + f"\n{' ' * depth}}}"
+    if isinstance(value, list | tuple):
+        nested = any(isinstance(v, dict) for v in value) or any(
+            isinstance(v, list | tuple) and any(isinstance(w, list | tuple | dict) for w in v)
+            for v in value
+        )
+        if nested:
+            rows = (pad + _render(v, depth + 1) for v in value)
+            return "[\n" + ",\n".join(rows) + f"\n{' ' * depth}]"
+    return _scalar(value)
+
+
+def _scalar(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def digest(document: Mapping[str, Any]) -> str:
+    """Sha256 of a document's canonical JSON without its volatile keys."""
+    kept = {k: v for k, v in document.items() if k not in VOLATILE}
+    return hashlib.sha256(canonical_json(kept).encode()).hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """Hex sha256 of a file's bytes."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def read_artefact(folder: Path, body: type[B]) -> Artefact[B]:
+    """Read and check one stage's JSON artefact.
+
+    Parameters
+    ----------
+    folder : Path
+        The stage's folder; its JSON has the stage's name.
+    body : type
+        Which record it must hold.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, unreadable, of another stage or version, or breaks a rule; the
+        message names the file and the key.
+    """
+    path = folder / f"{body.stage}.json"
+    document = _load_json(path)
+    expected = f"gvpipe/{body.stage}/{SCHEMA_VERSION}"
+    if document.get("schema") != expected:
+        found = document.get("schema", "none")
+        raise InputError(f"{path}: schema: expected {expected!r}, found {found!r}")
+    try:
+        header_keys = {f.alias or k for k, f in Header.model_fields.items()}
+        header = Header.model_validate({k: v for k, v in document.items() if k in header_keys})
+        content = body.model_validate({k: v for k, v in document.items() if k not in header_keys})
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: {key}: {first['msg']}") from None
+    for name, want in header.files.items():
+        file = folder / name
+        if not re.fullmatch(r"[^/\x00]+", name) or not file.is_file():
+            raise InputError(f"{file}: missing, though {path.name} lists it")
+        if file_sha256(file) != want:
+            raise InputError(f"{file}: its content is not what {path.name} recorded")
+    return Artefact(header, content, folder, digest(document))
+
+
+def _load_json(path: Path) -> dict[str, Any]:
+    """Parse a JSON object strictly."""
+
+    def refuse(constant: str) -> Any:
+        raise ValueError(f"{constant} is not JSON")
+
+    try:
+        if path.stat().st_size > MAX_JSON_BYTES:
+            raise InputError(f"{path}: larger than {MAX_JSON_BYTES} bytes")
+        document = json.loads(path.read_bytes(), parse_constant=refuse)
+    except FileNotFoundError:
+        raise InputError(f"{path}: missing") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected a JSON object")
+    return document
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """Load every array of an NPZ file, never unpickling.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, too large or holds Python objects.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_NPZ_BYTES:
+                raise InputError(f"{path}: would take more than {MAX_NPZ_BYTES} bytes")
+        with np.load(path, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: missing") from None
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, MemoryError) as error:
+        raise InputError(f"{path}: not a valid NPZ file: {error}") from None
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays, compressed, the same bytes for the same content.
+
+    Raises
+    ------
+    TypeError
+        If an array holds Python objects, which would be pickled.
+    """
+    for name, array in arrays.items():
+        if array.dtype.hasobject:
+            raise TypeError(f"array {name!r} holds Python objects")
+    np.savez_compressed(path, allow_pickle=False, **cast(dict[str, Any], dict(arrays)))
+
+
+@contextmanager
+def staging(out: Path, stage: str) -> Iterator[Path]:
+    """Give a private folder to write into; it is removed whatever happens.
+
+    Folders that a killed run of the same stage left behind are swept first, so the caller must
+    hold the stage's lock.
+    """
+    for left in out.glob(f".{stage}.writing-*"):
+        shutil.rmtree(left, ignore_errors=True)
+    folder = Path(tempfile.mkdtemp(prefix=f".{stage}.writing-", dir=out))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def publish(staged: Path, folder: Path, header: Header, body: Body) -> None:
+    """Move a staged artefact into place, its JSON last.
+
+    Each file appears whole by a rename within one file system. The JSON records the checksums of
+    the others, so a run killed between two renames leaves an artefact that is seen to be stale.
+    """
+    files = {p.name: file_sha256(p) for p in sorted(staged.iterdir())}
+    document = {
+        **header.model_copy(update={"files": files}).model_dump(mode="json", by_alias=True),
+        **body.model_dump(mode="json"),
+    }
+    json_name = f"{body.stage}.json"
+    (staged / json_name).write_text(canonical_json(document), encoding="utf-8")
+    if folder.is_symlink():
+        raise OutputError(f"{folder}: is a symbolic link; artefacts are not written through links")
+    folder.mkdir(parents=True, exist_ok=True)
+    outdated = _files_of_previous(folder / json_name) - files.keys()
+    for name in [*files, json_name]:
+        _sync(staged / name)
+        (staged / name).replace(folder / name)
+    for name in outdated:
+        (folder / name).unlink(missing_ok=True)
+    _sync(folder)
+
+
+def _files_of_previous(json_path: Path) -> set[str]:
+    """Names of the files an older artefact of the stage consists of; other files are not ours."""
+    try:
+        listed = _load_json(json_path).get("files")
+    except InputError:
+        return set()
+    names = listed if isinstance(listed, dict) else {}
+    return {name for name in names if re.fullmatch(r"[^/\x00]+", name) and name not in (".", "..")}
+
+
+def _sync(path: Path) -> None:
+    """Force a file or folder to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def schema_of(stage: str) -> str:
+    """Name the schema a stage writes."""
+    return f"gvpipe/{BODIES[stage].stage}/{SCHEMA_VERSION}"

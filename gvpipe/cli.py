@@ -1,0 +1,174 @@
+"""The command line: six commands, one configuration file, documented exit codes."""
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from gvpipe import __version__
+from gvpipe.errors import GvpipeError, UsageError
+
+EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
+
+EXIT_CODES = (
+    "Exit codes: 0 done; 1 a defect in gvpipe; 2 wrong command line; 3 wrong configuration or "
+    "calibration; 4 an input is missing, unreadable or stale; 5 ran, but there is no result; "
+    "6 the output cannot be written; 7 a resource limit was hit; 130 interrupted; 143 terminated."
+)
+
+COMMANDS = {
+    "match": "Match pairs of pictures through overhead views: ground homographies.",
+    "localize": "Relative pose of two views: camera motion, tilts and metric shift of each pair.",
+    "overlap": "Find pictures of different robots that show the same ground.",
+    "slam": "Put all robots on one metric map; draw the location graph.",
+    "mosaic": "Compose the overhead map with the obstacles taken out, and a ROS map.",
+    "reconstruct": "Recover the obstacles' shape in 3D.",
+}
+
+app = typer.Typer(
+    name="gvpipe",
+    help="Metric maps and 3D obstacles from ordinary photographs of a floor.",
+    epilog=EXIT_CODES,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+config_app = typer.Typer(help="Look at a configuration.", no_args_is_help=True)
+app.add_typer(config_app, name="config")
+
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration, a YAML file.")]
+OutDir = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Output folder.", show_default="`output` of CONFIG"),
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override one key; may be repeated."),
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", "-j", min=1, help="Processes at once.", show_default="the number of cores"
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Run even if the artefact is fresh.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")]
+LogJson = Annotated[bool, typer.Option("--log-json", help="Log as JSON lines on standard error.")]
+
+
+def _version(show: bool) -> None:
+    if show:
+        typer.echo(f"gvpipe {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Metric maps and 3D obstacles from ordinary photographs of a floor."""
+
+
+def _stage_command(name: str) -> Callable[..., None]:
+    def command(
+        config: ConfigPath,
+        out: OutDir = None,
+        overrides: Overrides = None,
+        jobs: Jobs = None,
+        force: Force = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
+        log_json: LogJson = False,
+    ) -> None:
+        if quiet and verbose:
+            raise UsageError("--quiet and --verbose exclude each other")
+        from gvpipe.configfile import load_config
+        from gvpipe.report import Reporter
+        from gvpipe.runner import run_stage
+
+        reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
+        loaded = load_config(config, tuple(overrides or ()), out)
+        cores = len(os.sched_getaffinity(0))
+        run_stage(name, loaded, reporter, jobs=jobs or cores, force=force)
+
+    return command
+
+
+for _name, _help in COMMANDS.items():
+    app.command(_name, help=_help, epilog=f"Example: gvpipe {_name} configs/example.yaml --jobs 2")(
+        _stage_command(_name)
+    )
+
+
+@config_app.command("show", epilog="Example: gvpipe config show configs/example.yaml")
+def config_show(config: ConfigPath, overrides: Overrides = None, out: OutDir = None) -> None:
+    """Print the whole configuration: every key, its value or default, its unit."""
+    from gvpipe.configfile import load_config, show_config
+
+    typer.echo(show_config(load_config(config, tuple(overrides or ()), out)), nl=False)
+
+
+@config_app.command("check", epilog="Example: gvpipe config check configs/example.yaml")
+def config_check(config: ConfigPath, overrides: Overrides = None, out: OutDir = None) -> None:
+    """Check a configuration and its calibrations; list every error."""
+    from gvpipe.configfile import load_config
+
+    load_config(config, tuple(overrides or ()), out)
+    typer.echo(f"{config}: no errors")
+
+
+class _Terminated(BaseException):
+    """SIGTERM arrived; unwinds like an interruption so that everything is cleaned up."""
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise _Terminated
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with the documented code."""
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.exit(run(arguments))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; `sys.argv` if left out.
+    """
+    try:
+        app(args=arguments, prog_name="gvpipe")
+    except SystemExit as stop:  # typer prints usage errors itself and exits with 2
+        return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    except GvpipeError as error:
+        from gvpipe.report import printable
+
+        message = "\n".join(printable(line) for line in str(error).split("\n"))
+        print(f"gvpipe: {message}", file=sys.stderr)  # noqa: T201
+        return error.exit_code
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except _Terminated:
+        return EXIT_TERMINATED
+    except Exception:
+        import traceback
+
+        traceback.print_exc()
+        print(  # noqa: T201
+            "gvpipe: this is a defect in gvpipe; please report it with the lines above",
+            file=sys.stderr,
+        )
+        return EXIT_DEFECT
+    return 0

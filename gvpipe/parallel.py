@@ -1,0 +1,140 @@
+"""An ordered map over worker processes whose results do not depend on their number."""
+
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+S = TypeVar("S")
+T = TypeVar("T")
+R = TypeVar("R")
+
+IN_FLIGHT_PER_WORKER = 4
+"""Items handed out ahead of the workers: keeps them busy, bounds what waits in memory."""
+
+
+@dataclass(frozen=True)
+class Crashed(Generic[T]):
+    """A worker process died twice on this item."""
+
+    item: T
+
+
+_shared: Any = None
+"""What every call in this worker process receives; set once when the process starts."""
+
+
+def _start_worker(shared: Any) -> None:
+    """Prepare a worker: one thread for OpenCV, interrupts left to the parent."""
+    global _shared
+    _shared = shared
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def _call(function: Callable[[Any, T], R], item: T) -> R:
+    return function(_shared, item)
+
+
+class Workers(Generic[S]):
+    """Worker processes that share one read-only object.
+
+    Parameters
+    ----------
+    shared : object
+        First argument of every mapped function; sent to each worker once.
+    jobs : int
+        Worker processes; with 1 everything runs in this process.
+    """
+
+    def __init__(self, shared: S, jobs: int):
+        self._shared, self._jobs = shared, jobs
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stop()
+
+    def map(self, function: Callable[[S, T], R], items: Sequence[T]) -> Iterator[R | Crashed[T]]:
+        """Yield ``function(shared, item)`` for each item, in the items' order.
+
+        A worker that dies is noticed: the item whose turn it is runs again alone, in a process
+        of its own, and yields `Crashed` if that dies as well. `function` must be importable by
+        name.
+        """
+        if self._jobs <= 1 or len(items) <= 1:
+            for item in items:
+                yield function(self._shared, item)
+            return
+        done = 0
+        while done < len(items):
+            for result in self._until_a_worker_dies(function, items[done:]):
+                yield result
+                done += 1
+            if done < len(items):
+                yield self._alone(function, items[done])
+                done += 1
+
+    def _until_a_worker_dies(
+        self, function: Callable[[S, T], R], items: Sequence[T]
+    ) -> Iterator[R]:
+        """Yield results in order; end early, without error, when the pool breaks."""
+        pool = self._pool = self._pool or self._start(self._jobs)
+        waiting: deque[Future[R]] = deque()
+        try:
+            for item in items:
+                waiting.append(pool.submit(_call, function, item))
+                if len(waiting) >= IN_FLIGHT_PER_WORKER * self._jobs:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        except BrokenProcessPool:
+            self._stop()
+
+    def _alone(self, function: Callable[[S, T], R], item: T) -> R | Crashed[T]:
+        """Run one item in a process of its own."""
+        self._pool = self._start(1)
+        try:
+            return self._pool.submit(_call, function, item).result()
+        except BrokenProcessPool:
+            return Crashed(item)
+        finally:
+            self._stop()
+
+    def _start(self, workers: int) -> ProcessPoolExecutor:
+        # a fresh interpreter each: forking a process that has threads is not safe
+        return ProcessPoolExecutor(
+            workers,
+            mp_context=get_context("spawn"),
+            initializer=_start_worker,
+            initargs=(self._shared,),
+        )
+
+    def _stop(self) -> None:
+        """End the pool at once; after an interruption no worker may linger."""
+        pool, self._pool = self._pool, None
+        if pool is None:
+            return
+        processes = list((pool._processes or {}).values())
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join(timeout=1.0)
+            if process.is_alive():
+                process.kill()

@@ -1,0 +1,278 @@
+"""The typed content of every JSON artefact: what one stage hands to the next.
+
+Angles are in degrees and lengths in metres, as the files have them. Arrays are checked for shape
+and finiteness when a record is made, so a file that lies is refused where it is read.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema
+
+from gvpipe.core.types import Float
+
+
+def _shaped(*shape: int | None) -> Callable[[Any], NDArray[np.float64]]:
+    """Make a validator for finite float arrays of a shape; None leaves a size open."""
+
+    def validate(value: Any) -> NDArray[np.float64]:
+        try:
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError(f"expected numbers of shape {shape}") from None
+        if array.size == 0 and None in shape:
+            array = array.reshape([0 if n is None else n for n in shape])
+        if array.ndim != len(shape) or any(
+            want not in (None, have) for want, have in zip(shape, array.shape, strict=True)
+        ):
+            raise ValueError(f"expected shape {shape}, found {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError("expected finite numbers")
+        array.setflags(write=False)
+        return array
+
+    return validate
+
+
+_as_lists = PlainSerializer(lambda array: array.tolist(), return_type=list)
+_schema = WithJsonSchema({"type": "array"})
+Matrix3 = Annotated[Float, PlainValidator(_shaped(3, 3)), _as_lists, _schema]
+Matrix6 = Annotated[Float, PlainValidator(_shaped(6, 6)), _as_lists, _schema]
+Vector3 = Annotated[Float, PlainValidator(_shaped(3)), _as_lists, _schema]
+Polygon = Annotated[Float, PlainValidator(_shaped(None, 2)), _as_lists, _schema]
+
+
+class Record(BaseModel):
+    """Base of all rows: frozen, strict about keys, free of NaN."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        populate_by_name=True,
+    )
+
+
+class SkippedImage(Record):
+    """An image that could not be used."""
+
+    image: str
+    reason: str
+
+
+class Header(Record):
+    """What every JSON artefact begins with: provenance and freshness."""
+
+    schema_id: str = Field(alias="schema")
+    gvpipe_version: str
+    config_sha256: str
+    inputs: dict[str, str]
+    files: dict[str, str]
+    seed: int
+    units: Literal["metre"] = "metre"
+    scale_source: Literal["height", "poses", "control"]
+    wall_s: float
+    skipped: tuple[SkippedImage, ...]
+    reason: str | None = None
+
+
+class Body(Record):
+    """Base of the stage's own part of an artefact."""
+
+    stage: ClassVar[str]
+
+
+class PairRow(Record):
+    """One pair of `match.json`."""
+
+    image_i: str
+    image_j: str
+    status: Literal["ok", "rejected"]
+    reason: str | None = None
+    H: Matrix3 | None = None
+    inliers: int = 0
+    candidates: int = 0
+    trials: int = 0
+    error_px: float | None = None
+    H_initial: Matrix3 | None = None
+    overhead: Matrix3 | None = None
+    tilt_i_deg: float | None = None
+    tilt_j_deg: float | None = None
+
+
+class MatchBody(Body):
+    """Ground homographies between pairs of pictures."""
+
+    stage: ClassVar[str] = "match"
+    pairs: tuple[PairRow, ...]
+
+
+class GammaRow(Record):
+    """The thesis' location triplet, with its angle convention."""
+
+    rho_heights: float
+    phi1_deg: float
+    phi2_deg: float
+
+
+class MotionFields(Record):
+    """Motion between two cameras, as both methods give it."""
+
+    R: Matrix3
+    t: Vector3
+    normal: Vector3
+    tilt_i_deg: float
+    tilt_j_deg: float
+    yaw_deg: float
+    distance_m: float
+    gamma: GammaRow
+
+
+class MotionRow(MotionFields):
+    """One motion of `localize.json`."""
+
+    image_i: str
+    image_j: str
+    geometric: MotionFields
+    covariance: Matrix6
+
+
+class LocalizeBody(Body):
+    """Relative camera poses of matched pairs."""
+
+    stage: ClassVar[str] = "localize"
+    motions: tuple[MotionRow, ...]
+
+
+class CandidateRow(Record):
+    """One candidate overlap between two robots."""
+
+    image_i: str
+    image_j: str
+    distance: float
+    validated: bool
+    reason: str | None = None
+    inliers: int = 0
+    H: Matrix3 | None = None
+
+
+class OverlapRow(Record):
+    """The candidates of one pair of robots, best first."""
+
+    robots: tuple[str, str]
+    candidates: tuple[CandidateRow, ...]
+
+
+class OverlapBody(Body):
+    """Pictures of different robots that show the same ground."""
+
+    stage: ClassVar[str] = "overlap"
+    overlaps: tuple[OverlapRow, ...]
+
+
+class PoseRow(Record):
+    """One camera on the map."""
+
+    image: str
+    robot: str
+    component: int
+    R: Matrix3
+    t: Vector3
+    x: float
+    y: float
+    yaw_deg: float
+    tilt_deg: float
+    roll_deg: float
+    height_m: float
+    covariance: Matrix6
+
+
+class EdgeRow(Record):
+    """One constraint between two cameras of the map."""
+
+    image_i: str
+    image_j: str
+    kind: Literal["odometry", "loop", "overlap"]
+    residual_m: float
+
+
+class UnregisteredRow(Record):
+    """An image that is on no map, and why."""
+
+    image: str
+    reason: str
+
+
+class RejectedEdgeRow(Record):
+    """A constraint that contradicts the others and was left out."""
+
+    image_i: str
+    image_j: str
+    kind: Literal["odometry", "loop", "overlap"]
+    reason: str
+
+
+class ClosingRow(Record):
+    """Closing error of one loop or overlap by plain concatenation and after adjustment."""
+
+    image_i: str
+    image_j: str
+    concatenated_m: float
+    adjusted_m: float
+
+
+class SlamBody(Body):
+    """All robots on metric maps, one for each connected component."""
+
+    stage: ClassVar[str] = "slam"
+    reference: str | None
+    poses: tuple[PoseRow, ...]
+    edges: tuple[EdgeRow, ...]
+    rejected_edges: tuple[RejectedEdgeRow, ...] = ()
+    closing: tuple[ClosingRow, ...] = ()
+    components: int
+    unregistered: tuple[UnregisteredRow, ...]
+
+
+class MosaicBody(Body):
+    """The overhead map."""
+
+    stage: ClassVar[str] = "mosaic"
+    component: int
+    resolution: float
+    map_from_pixel: Matrix3
+    blend: str
+    width: int
+    height: int
+    images: tuple[str, ...]
+    coverage_m2: float
+
+
+class ObstacleRow(Record):
+    """One obstacle standing on the ground."""
+
+    id: int
+    footprint: Polygon
+    height_m: float
+    volume_m3: float
+    centroid: Vector3
+
+
+class ReconstructBody(Body):
+    """Obstacles in 3D."""
+
+    stage: ClassVar[str] = "reconstruct"
+    method: str
+    obstacles: tuple[ObstacleRow, ...]
+    energy: tuple[tuple[int, float], ...]
+    iterations: int
+    converged: bool
+
+
+BODIES: dict[str, type[Body]] = {
+    body.stage: body
+    for body in (MatchBody, LocalizeBody, OverlapBody, SlamBody, MosaicBody, ReconstructBody)
+}

@@ -1,0 +1,139 @@
+"""The only module that talks to the terminal: progress, tables, logs."""
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+HEARTBEAT_S = 30.0
+"""Without a terminal, long work says this often that it is alive."""
+
+log = logging.getLogger("gvpipe")
+
+
+def printable(text: str) -> str:
+    """Escape control characters, so that no file name can steer the terminal."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+class _JsonLines(logging.Formatter):
+    """One JSON object a line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        row = {
+            "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created)),
+            "level": record.levelname.lower(),
+            "message": record.getMessage(),
+        }
+        return json.dumps(row, ensure_ascii=True)
+
+
+class Reporter:
+    """Progress and results of one command.
+
+    Parameters
+    ----------
+    quiet : bool
+        Only errors.
+    verbose : bool
+        Also details.
+    log_json : bool
+        Log lines as JSON objects on standard error.
+    """
+
+    def __init__(self, *, quiet: bool = False, verbose: bool = False, log_json: bool = False):
+        self.quiet = quiet
+        self._out = Console(soft_wrap=True, highlight=False)
+        self._err = Console(stderr=True, soft_wrap=True, highlight=False)
+        self._live = self._err.is_terminal and not quiet and not log_json
+        handler: logging.Handler
+        if log_json:
+            handler = logging.StreamHandler(sys.stderr)
+            handler.setFormatter(_JsonLines())
+        else:
+            handler = RichHandler(
+                console=self._err,
+                show_time=False,
+                show_path=False,
+                markup=False,
+                rich_tracebacks=False,
+            )
+            handler.setFormatter(logging.Formatter("%(message)s"))
+        log.handlers[:] = [handler]
+        log.propagate = False
+        log.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)
+
+    @contextmanager
+    def progress(self, what: str, total: int) -> Iterator["Ticker"]:
+        """Show how far a loop is: a bar on a terminal, a line now and then elsewhere."""
+        if not self._live:
+            yield Ticker(what, total)
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=self._err, transient=True) as bar:
+            task = bar.add_task(what, total=total)
+            yield _BarTicker(what, total, lambda n: bar.advance(task, n))
+
+    def result(self, title: str, rows: Sequence[tuple[str, str]], paths: Sequence[Path]) -> None:
+        """Print the closing table of a command and the files it wrote."""
+        if self.quiet:
+            return
+        table = Table(title=None, box=None, show_header=False, pad_edge=False)
+        table.add_column(style="bold")
+        table.add_column(overflow="fold")
+        for key, value in rows:
+            table.add_row(Text(printable(key)), Text(printable(value)))
+        for path in paths:
+            table.add_row(Text("wrote"), Text(printable(str(path))))
+        self._out.print(Text(title, style="bold"))
+        self._out.print(table)
+
+
+class Ticker:
+    """Counts steps of a loop and logs a heartbeat."""
+
+    def __init__(self, what: str, total: int):
+        self._what, self._total, self._done = what, total, 0
+        self._last = time.monotonic()
+
+    def advance(self, steps: int = 1) -> None:
+        """Count `steps` more."""
+        self._done += steps
+        now = time.monotonic()
+        if now - self._last >= HEARTBEAT_S:
+            self._last = now
+            log.info("%s: %d of %d", self._what, self._done, self._total)
+
+
+class _BarTicker(Ticker):
+    """Moves a progress bar instead."""
+
+    def __init__(self, what: str, total: int, move) -> None:  # type: ignore[no-untyped-def]
+        super().__init__(what, total)
+        self._move = move
+
+    def advance(self, steps: int = 1) -> None:
+        """Move the bar by `steps`."""
+        self._move(steps)

@@ -1,0 +1,205 @@
+"""Run one stage: check what it needs, skip it if fresh, else compute and publish."""
+
+import errno
+import fcntl
+import importlib
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from gvpipe import __version__
+from gvpipe.artefacts import Artefact, publish, read_artefact, schema_of, staging
+from gvpipe.config import Config
+from gvpipe.configfile import section_sha256
+from gvpipe.dataset import Dataset, open_dataset
+from gvpipe.errors import InputError, NoResultError, OutputError
+from gvpipe.records import Body, Header, SkippedImage
+from gvpipe.report import Reporter, log
+from gvpipe.stages.contract import Context, Stage
+
+STAGES = ("match", "localize", "overlap", "slam", "mosaic", "reconstruct")
+"""All commands of the chain, in their order."""
+
+
+def stage_module(name: str) -> Stage:
+    """Import one stage; importing them lazily keeps the command line quick."""
+    return cast(Stage, importlib.import_module(f"gvpipe.stages.{name}"))
+
+
+@dataclass(frozen=True)
+class _Expectation:
+    """What a fresh artefact must have been made from."""
+
+    config_sha256: str
+    inputs: dict[str, str]
+
+    def mismatch(self, header: Header) -> str | None:
+        """Say what changed since an artefact was made, if anything."""
+        if header.gvpipe_version != __version__:
+            return f"was made by gvpipe {header.gvpipe_version}"
+        if header.config_sha256 != self.config_sha256:
+            return "was made with another configuration"
+        for name in sorted(self.inputs.keys() ^ header.inputs.keys()):
+            return f"{'lacks' if name in self.inputs else 'was made from the missing'} {name}"
+        for name, want in self.inputs.items():
+            if header.inputs[name] != want:
+                return f"was made from another version of {name}"
+        return None
+
+
+class _Chain:
+    """Artefacts of one output folder, checked against configuration and images."""
+
+    def __init__(self, config: Config, dataset: Dataset):
+        self._config, self._dataset = config, dataset
+        self._loaded: dict[str, Artefact[Any]] = {}
+
+    def folder(self, stage: str) -> Path:
+        """Folder of one stage's artefact."""
+        return Path(self._config.output) / stage
+
+    def needed(self, stage: str) -> dict[str, Artefact[Any]]:
+        """Load everything a stage reads, or say which command makes what is missing."""
+        bodies = stage_module(stage).needs(self._config)
+        return {body.stage: self.fresh(body) for body in bodies}
+
+    def expectation(self, stage: str) -> _Expectation:
+        """Work out what the stage's artefact must be made from to be fresh."""
+        inputs = {entry.image_id: entry.sha256 for entry in self._dataset.entries}
+        inputs |= {f"poses of {r}": h for r, h in self._dataset.poses_sha256.items()}
+        inputs |= {f"{n}/{n}.json": a.digest for n, a in self.needed(stage).items()}
+        sections = stage_module(stage).SECTIONS
+        return _Expectation(section_sha256(self._config, sections), inputs)
+
+    def fresh(self, body: type[Body]) -> Artefact[Any]:
+        """Read an artefact and insist that it is up to date."""
+        stage = body.stage
+        if stage not in self._loaded:
+            command = f"gvpipe {stage} {self._config.path.name}"
+            try:
+                artefact = read_artefact(self.folder(stage), body)
+            except InputError as error:
+                raise InputError(f"{error}; `{command}` makes it") from None
+            changed = self.expectation(stage).mismatch(artefact.header)
+            if changed:
+                path = self.folder(stage) / f"{stage}.json"
+                raise InputError(f"{path}: stale, it {changed}; `{command}` makes it anew")
+            self._loaded[stage] = artefact
+        return self._loaded[stage]
+
+
+def run_stage(
+    name: str, config: Config, reporter: Reporter, *, jobs: int, force: bool = False
+) -> None:
+    """Run one command of the chain.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`STAGES`.
+    config : Config
+        The loaded configuration.
+    reporter : Reporter
+        Progress and results.
+    jobs : int
+        Worker processes or threads.
+    force : bool
+        Run even if the artefact is fresh.
+
+    Raises
+    ------
+    InputError, NoResultError, OutputError, ConfigError
+        See :mod:`gvpipe.errors`.
+    """
+    out = Path(config.output)
+    with _writing_to(out), _lock(out, name):
+        started = time.monotonic()
+        dataset = open_dataset(config, jobs=jobs)
+        for skipped in dataset.skipped:
+            log.warning("skipped %s: %s", skipped.image, skipped.reason)
+        chain = _Chain(config, dataset)
+        upstream = chain.needed(name)
+        expected = chain.expectation(name)
+        if not force and _reuse(chain.folder(name), name, expected, reporter):
+            return
+        stage = stage_module(name)
+        outcome = stage.run(Context(config, dataset, upstream, jobs, reporter.progress))
+        unreadable = tuple(SkippedImage(image=s.image, reason=s.reason) for s in dataset.skipped)
+        header = Header(
+            schema_id=schema_of(name),
+            gvpipe_version=__version__,
+            config_sha256=expected.config_sha256,
+            inputs=expected.inputs,
+            files={},
+            seed=config.seed,
+            scale_source=_scale_source(dataset),
+            wall_s=round(time.monotonic() - started, 3),
+            skipped=unreadable + outcome.skipped,
+            reason=outcome.no_result,
+        )
+        with staging(out, name) as folder:
+            stage.write(outcome, folder)
+            names = sorted(p.name for p in folder.iterdir())
+            publish(folder, chain.folder(name), header, outcome.body)
+    paths = [chain.folder(name) / n for n in (f"{name}.json", *names)]
+    used = ("images", f"{len(dataset.entries)} used, {len(header.skipped)} skipped")
+    timing = ("time", f"{time.monotonic() - started:.1f} s")
+    reporter.result(f"gvpipe {name}", (used, *outcome.summary, timing), paths)
+    if outcome.no_result:
+        raise NoResultError(f"{name}: no result: {outcome.no_result}")
+
+
+def _reuse(folder: Path, name: str, expected: _Expectation, reporter: Reporter) -> bool:
+    """Keep a fresh artefact; touch it, since Make goes by time."""
+    try:
+        artefact = read_artefact(folder, stage_module(name).BODY)
+    except InputError:
+        return False
+    if expected.mismatch(artefact.header):
+        return False
+    path = folder / f"{name}.json"
+    path.touch()
+    reporter.result(f"gvpipe {name}", (("fresh", "nothing has changed since it was made"),), [])
+    if artefact.header.reason:
+        raise NoResultError(f"{name}: no result: {artefact.header.reason}")
+    return True
+
+
+def _scale_source(dataset: Dataset) -> Literal["height", "poses"]:
+    return "poses" if dataset.poses else "height"
+
+
+@contextmanager
+def _writing_to(out: Path) -> Iterator[None]:
+    """Turn failures to write into :class:`OutputError`; inputs raise their own errors."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        where = error.filename or out
+        what = os.strerror(error.errno) if error.errno else str(error)
+        raise OutputError(f"{where}: cannot be written: {what}") from error
+
+
+@contextmanager
+def _lock(out: Path, stage: str) -> Iterator[None]:
+    """Let one process at a time write a stage's artefact; the lock ends with its process."""
+    path = out / f".{stage}.lock"
+    with path.open("a+") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EACCES, errno.EAGAIN):
+                raise
+            stream.seek(0)
+            holder = stream.read().strip() or "another process"
+            raise OutputError(f"{path}: locked by {holder}") from None
+        stream.truncate(0)
+        stream.write(f"process {os.getpid()}\n")
+        stream.flush()
+        yield
+        stream.truncate(0)

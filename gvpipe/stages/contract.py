@@ -1,0 +1,94 @@
+"""What every stage receives and returns."""
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar, cast
+
+from gvpipe.artefacts import Artefact
+from gvpipe.config import Config
+from gvpipe.dataset import Dataset
+from gvpipe.records import Body, SkippedImage
+
+B = TypeVar("B", bound=Body)
+P = TypeVar("P")
+
+
+class Ticker(Protocol):
+    """Counts the steps of a loop."""
+
+    def advance(self, steps: int = 1) -> None:
+        """Count `steps` more."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """All a stage may use.
+
+    Attributes
+    ----------
+    config : Config
+        The whole configuration; a stage reads only the sections it declares.
+    dataset : Dataset
+        The images.
+    upstream : mapping
+        Fresh artefacts of the stages it needs, by name.
+    jobs : int
+        Worker processes or threads it may use; results do not depend on it.
+    progress : callable
+        ``progress(what, total)`` gives a context manager with a ticker.
+    """
+
+    config: Config
+    dataset: Dataset
+    upstream: Mapping[str, Artefact[Any]]
+    jobs: int
+    progress: Callable[[str, int], AbstractContextManager[Ticker]]
+
+    def artefact(self, body: type[B]) -> Artefact[B]:
+        """Return the artefact of the stage that writes `body`."""
+        return cast(Artefact[B], self.upstream[body.stage])
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[B, P]):
+    """What a stage found, before it is written.
+
+    Attributes
+    ----------
+    body : Body
+        The JSON's own part.
+    payload : object
+        Whatever the stage's `write` turns into further files.
+    skipped : tuple of SkippedImage
+        Images this stage could not use, beyond those that could not be read.
+    no_result : str or None
+        Why there is no result, if there is none.
+    summary : tuple of (str, str)
+        Rows of the closing table.
+    """
+
+    body: B
+    payload: P
+    skipped: tuple[SkippedImage, ...] = ()
+    no_result: str | None = None
+    summary: tuple[tuple[str, str], ...] = field(default=())
+
+
+class Stage(Protocol):
+    """A module of :mod:`gvpipe.stages`."""
+
+    SECTIONS: tuple[str, ...]
+    """Configuration sections the stage reads; a change elsewhere leaves its artefact fresh."""
+    BODY: type[Body]
+    """Record it writes."""
+
+    def needs(self, config: Config) -> tuple[type[Body], ...]:
+        """Artefacts it reads."""
+
+    def run(self, context: Context) -> Outcome[Any, Any]:
+        """Compute, without writing."""
+
+    def write(self, outcome: Outcome[Any, Any], folder: Path) -> None:
+        """Write the files beside the JSON into a staging folder."""

@@ -1,0 +1,146 @@
+"""Ground homographies between pairs of pictures."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from gvpipe.artefacts import write_npz
+from gvpipe.config import Config
+from gvpipe.core.matching import MatchOptions
+from gvpipe.core.types import Float, PairMatch, Rejected
+from gvpipe.dataset import Dataset
+from gvpipe.errors import InputError
+from gvpipe.pairing import match_pairs
+from gvpipe.records import Body, MatchBody, PairRow
+from gvpipe.stages.contract import Context, Outcome
+
+SECTIONS = ("cameras", "robots", "match", "seed")
+BODY = MatchBody
+
+
+@dataclass(frozen=True)
+class MatchPoints:
+    """Inlier pixels of each pair, (n, 2) float64; empty where a pair was rejected."""
+
+    points_i: tuple[Float, ...]
+    points_j: tuple[Float, ...]
+
+
+def needs(config: Config) -> tuple[type[Body], ...]:
+    """Read nothing but pictures."""
+    return ()
+
+
+def options_from(config: Config) -> MatchOptions:
+    """Take the matcher's settings from the configuration."""
+    return MatchOptions(features=config.match.features)
+
+
+def planned_pairs(config: Config, dataset: Dataset) -> list[tuple[str, str]]:
+    """List the pairs the configuration asks for.
+
+    Raises
+    ------
+    InputError
+        If a listed pair names an image that does not exist.
+    """
+    wanted = config.match.pairs
+    if wanted == "consecutive":
+        return [
+            (a.image_id, b.image_id)
+            for entries in dataset.robots.values()
+            for a, b in pairwise(entries)
+        ]
+    if wanted == "exhaustive":
+        return list(combinations([entry.image_id for entry in dataset.entries], 2))
+    known = {entry.image_id for entry in dataset.entries}
+    skipped = {s.image: s.reason for s in dataset.skipped}
+    for pair in wanted:
+        for image in pair:
+            if image not in known and image not in skipped:
+                raise InputError(f"match.pairs: there is no image {image!r}")
+    return [(i, j) for i, j in wanted if i in known and j in known]
+
+
+def run(context: Context) -> Outcome[MatchBody, MatchPoints]:
+    """Match every planned pair."""
+    pairs = planned_pairs(context.config, context.dataset)
+    steps = len({image for pair in pairs for image in pair}) + len(pairs)
+    with context.progress("match", steps) as ticker:
+        verdicts = list(
+            match_pairs(
+                context.dataset,
+                pairs,
+                options_from(context.config),
+                seed=context.config.seed,
+                jobs=context.jobs,
+                on_step=ticker.advance,
+            )
+        )
+    rows = tuple(pair_row(*pair, verdict) for pair, verdict in zip(pairs, verdicts, strict=True))
+    empty = np.empty((0, 2))
+    points = MatchPoints(
+        tuple(v.points_i if isinstance(v, PairMatch) else empty for v in verdicts),
+        tuple(v.points_j if isinstance(v, PairMatch) else empty for v in verdicts),
+    )
+    matched = sum(row.status == "ok" for row in rows)
+    return Outcome(
+        MatchBody(pairs=rows),
+        points,
+        no_result=None if matched else _why_none(rows),
+        summary=(("pairs", f"{matched} of {len(rows)} matched"), *_rejections(rows)),
+    )
+
+
+def write(outcome: Outcome[MatchBody, MatchPoints], folder: Path) -> None:
+    """Write the inlier pixels."""
+    arrays = {}
+    for k, (points_i, points_j) in enumerate(
+        zip(outcome.payload.points_i, outcome.payload.points_j, strict=True)
+    ):
+        arrays[f"{k}/points_i"] = points_i
+        arrays[f"{k}/points_j"] = points_j
+    write_npz(folder / "match.npz", arrays)
+
+
+def pair_row(image_i: str, image_j: str, verdict: PairMatch | Rejected) -> PairRow:
+    """Turn a verdict into its row of the file."""
+    if isinstance(verdict, Rejected):
+        return PairRow(
+            image_i=image_i,
+            image_j=image_j,
+            status="rejected",
+            reason=verdict.reason,
+            inliers=verdict.inliers,
+            candidates=verdict.candidates,
+            trials=verdict.trials,
+        )
+    return PairRow(
+        image_i=image_i,
+        image_j=image_j,
+        status="ok",
+        H=verdict.homography,
+        inliers=len(verdict.points_i),
+        candidates=verdict.candidates,
+        trials=verdict.trials,
+        error_px=verdict.error_px,
+        H_initial=verdict.homography_initial,
+        overhead=verdict.overhead_j_from_i,
+        tilt_i_deg=float(np.degrees(verdict.tilt_i)),
+        tilt_j_deg=float(np.degrees(verdict.tilt_j)),
+    )
+
+
+def _why_none(rows: Iterable[PairRow]) -> str:
+    first = next((row for row in rows), None)
+    if first is None:
+        return "there is no pair of images to match"
+    return f"no pair matched; the first, {first.image_i} and {first.image_j}: {first.reason}"
+
+
+def _rejections(rows: Iterable[PairRow]) -> list[tuple[str, str]]:
+    shown = [row for row in rows if row.status == "rejected"][:5]
+    return [("rejected", f"{row.image_i} - {row.image_j}: {row.reason}") for row in shown]
