@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from gvpipe.errors import InputError, OutputError
-from gvpipe.records import BODIES, Body, Header
+from gvpipe.records import Body, Header
 
 SCHEMA_VERSION = 1
 VOLATILE = ("wall_s",)
@@ -115,9 +115,9 @@ def read_artefact(folder: Path, body: type[B]) -> Artefact[B]:
         If the file is missing, unreadable, of another stage or version, or breaks a rule; the
         message names the file and the key.
     """
-    path = folder / f"{body.stage}.json"
+    path = folder / body.file
     document = _load_json(path)
-    expected = f"gvpipe/{body.stage}/{SCHEMA_VERSION}"
+    expected = schema_of(body)
     if document.get("schema") != expected:
         found = document.get("schema", "none")
         raise InputError(f"{path}: schema: expected {expected!r}, found {found!r}")
@@ -220,7 +220,7 @@ def publish(staged: Path, folder: Path, header: Header, body: Body) -> None:
         **header.model_copy(update={"files": files}).model_dump(mode="json", by_alias=True),
         **body.model_dump(mode="json"),
     }
-    json_name = f"{body.stage}.json"
+    json_name = body.file
     (staged / json_name).write_text(canonical_json(document), encoding="utf-8")
     if folder.is_symlink():
         raise OutputError(f"{folder}: is a symbolic link; artefacts are not written through links")
@@ -253,6 +253,6 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def schema_of(stage: str) -> str:
-    """Name the schema a stage writes."""
-    return f"gvpipe/{BODIES[stage].stage}/{SCHEMA_VERSION}"
+def schema_of(body: type[Body]) -> str:
+    """Name the schema of a stage's JSON."""
+    return f"gvpipe/{body.stage}/{SCHEMA_VERSION}"

@@ -80,9 +80,13 @@ class Header(Record):
 
 
 class Body(Record):
-    """Base of the stage's own part of an artefact."""
+    """Base of the stage's own part of an artefact.
+
+    `stage` names the command and its folder, `file` the JSON in that folder.
+    """
 
     stage: ClassVar[str]
+    file: ClassVar[str]
 
 
 class PairRow(Record):
@@ -107,6 +111,7 @@ class MatchBody(Body):
     """Ground homographies between pairs of pictures."""
 
     stage: ClassVar[str] = "match"
+    file: ClassVar[str] = "match.json"
     pairs: tuple[PairRow, ...]
 
 
@@ -144,6 +149,7 @@ class LocalizeBody(Body):
     """Relative camera poses of matched pairs."""
 
     stage: ClassVar[str] = "localize"
+    file: ClassVar[str] = "localize.json"
     motions: tuple[MotionRow, ...]
 
 
@@ -170,6 +176,7 @@ class OverlapBody(Body):
     """Pictures of different robots that show the same ground."""
 
     stage: ClassVar[str] = "overlap"
+    file: ClassVar[str] = "overlap.json"
     overlaps: tuple[OverlapRow, ...]
 
 
@@ -228,6 +235,7 @@ class SlamBody(Body):
     """All robots on metric maps, one for each connected component."""
 
     stage: ClassVar[str] = "slam"
+    file: ClassVar[str] = "slam.json"
     reference: str | None
     poses: tuple[PoseRow, ...]
     edges: tuple[EdgeRow, ...]
@@ -241,6 +249,7 @@ class MosaicBody(Body):
     """The overhead map."""
 
     stage: ClassVar[str] = "mosaic"
+    file: ClassVar[str] = "mosaic.json"
     component: int
     resolution: float
     map_from_pixel: Matrix3
@@ -265,14 +274,9 @@ class ReconstructBody(Body):
     """Obstacles in 3D."""
 
     stage: ClassVar[str] = "reconstruct"
+    file: ClassVar[str] = "obstacles.json"
     method: str
     obstacles: tuple[ObstacleRow, ...]
     energy: tuple[tuple[int, float], ...]
     iterations: int
     converged: bool
-
-
-BODIES: dict[str, type[Body]] = {
-    body.stage: body
-    for body in (MatchBody, LocalizeBody, OverlapBody, SlamBody, MosaicBody, ReconstructBody)
-}

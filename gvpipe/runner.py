@@ -71,7 +71,7 @@ class _Chain:
         """Work out what the stage's artefact must be made from to be fresh."""
         inputs = {entry.image_id: entry.sha256 for entry in self._dataset.entries}
         inputs |= {f"poses of {r}": h for r, h in self._dataset.poses_sha256.items()}
-        inputs |= {f"{n}/{n}.json": a.digest for n, a in self.needed(stage).items()}
+        inputs |= {f"{n}/{a.body.file}": a.digest for n, a in self.needed(stage).items()}
         sections = stage_module(stage).SECTIONS
         return _Expectation(section_sha256(self._config, sections), inputs)
 
@@ -86,7 +86,7 @@ class _Chain:
                 raise InputError(f"{error}; `{command}` makes it") from None
             changed = self.expectation(stage).mismatch(artefact.header)
             if changed:
-                path = self.folder(stage) / f"{stage}.json"
+                path = self.folder(stage) / body.file
                 raise InputError(f"{path}: stale, it {changed}; `{command}` makes it anew")
             self._loaded[stage] = artefact
         return self._loaded[stage]
@@ -130,7 +130,7 @@ def run_stage(
         outcome = stage.run(Context(config, dataset, upstream, jobs, reporter.progress))
         unreadable = tuple(SkippedImage(image=s.image, reason=s.reason) for s in dataset.skipped)
         header = Header(
-            schema_id=schema_of(name),
+            schema_id=schema_of(stage.BODY),
             gvpipe_version=__version__,
             config_sha256=expected.config_sha256,
             inputs=expected.inputs,
@@ -145,7 +145,7 @@ def run_stage(
             stage.write(outcome, folder)
             names = sorted(p.name for p in folder.iterdir())
             publish(folder, chain.folder(name), header, outcome.body)
-    paths = [chain.folder(name) / n for n in (f"{name}.json", *names)]
+    paths = [chain.folder(name) / n for n in (outcome.body.file, *names)]
     used = ("images", f"{len(dataset.entries)} used, {len(header.skipped)} skipped")
     timing = ("time", f"{time.monotonic() - started:.1f} s")
     reporter.result(f"gvpipe {name}", (used, *outcome.summary, timing), paths)
@@ -155,14 +155,14 @@ def run_stage(
 
 def _reuse(folder: Path, name: str, expected: _Expectation, reporter: Reporter) -> bool:
     """Keep a fresh artefact; touch it, since Make goes by time."""
+    body = stage_module(name).BODY
     try:
-        artefact = read_artefact(folder, stage_module(name).BODY)
+        artefact = read_artefact(folder, body)
     except InputError:
         return False
     if expected.mismatch(artefact.header):
         return False
-    path = folder / f"{name}.json"
-    path.touch()
+    (folder / body.file).touch()
     reporter.result(f"gvpipe {name}", (("fresh", "nothing has changed since it was made"),), [])
     if artefact.header.reason:
         raise NoResultError(f"{name}: no result: {artefact.header.reason}")

@@ -1,0 +1,82 @@
+# Two commands do everything on a machine with Python 3.11+ and make: `make run`, `make test`.
+# make run CONFIG=path/to/config.yaml works on any set; OUT is where its artefacts go.
+
+PYTHON ?= python3
+VENV   ?= .venv
+CONFIG ?= sample_runs/two_robots/two_robots.yaml
+JOBS   ?= $(shell nproc 2>/dev/null || echo 1)
+
+BIN    := $(VENV)/bin
+GVPIPE := $(BIN)/gvpipe
+STAMP  := $(VENV)/.installed
+DEV    := $(VENV)/.installed-dev
+OUT    ?= runs/$(basename $(notdir $(CONFIG)))
+
+# Exit code 5 means "ran, no result": the artefact is written and says why, so the chain goes on.
+STAGE   = $(GVPIPE) $(1) $(CONFIG) --out $(OUT) --jobs $(JOBS) || [ $$? -eq 5 ]
+SOURCES := $(shell find gvpipe -name '*.py' 2>/dev/null)
+INPUTS  := $(CONFIG)
+
+.DELETE_ON_ERROR:
+.SUFFIXES:
+.PHONY: help run all install dev test lint format bench samples clean distclean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+run all: $(OUT)/reconstruct/obstacles.json $(OUT)/localize/localize.json ## run the whole chain on CONFIG (default: the sample)
+	@echo "artefacts of $(CONFIG) are in $(OUT)"
+
+$(OUT)/match/match.json: $(INPUTS) $(STAMP)
+	$(call STAGE,match)
+
+$(OUT)/localize/localize.json: $(OUT)/match/match.json
+	$(call STAGE,localize)
+
+$(OUT)/overlap/overlap.json: $(INPUTS) $(STAMP)
+	$(call STAGE,overlap)
+
+$(OUT)/slam/slam.json: $(OUT)/match/match.json $(OUT)/overlap/overlap.json
+	$(call STAGE,slam)
+
+$(OUT)/mosaic/mosaic.json: $(OUT)/slam/slam.json
+	$(call STAGE,mosaic)
+
+$(OUT)/reconstruct/obstacles.json: $(OUT)/mosaic/mosaic.json
+	$(call STAGE,reconstruct)
+
+install: $(STAMP) ## set up gvpipe in $(VENV)
+
+$(VENV)/bin/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --constraint constraints.txt
+	@touch $@
+
+dev: $(DEV) ## set up the development tools as well
+
+$(DEV): pyproject.toml constraints.txt $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --constraint constraints.txt
+	@touch $@
+
+test: $(DEV) ## run the tests
+	$(BIN)/python -m pytest
+
+lint: $(DEV) ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(DEV) ## format the code
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(DEV) ## measure speed against named peers
+	@for f in tests/bench/bench_*.py; do echo "== $$f"; $(BIN)/python $$f || exit 1; done
+
+clean: ## remove the artefacts of CONFIG
+	rm -rf $(OUT)
+
+distclean: ## remove all artefacts and the environment
+	rm -rf runs $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
