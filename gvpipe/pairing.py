@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gvpipe.config import Config
 from gvpipe.core.features import Features
 from gvpipe.core.matching import MatchOptions, extract, match_views
 from gvpipe.core.types import PairMatch, Rejected
@@ -36,6 +37,11 @@ def pair_generator(seed: int, image_i: str, image_j: str) -> np.random.Generator
     """Make the random generator of one pair, the same whoever matches it and when."""
     name = "\0".join((str(seed), image_i, image_j)).encode()
     return np.random.default_rng(int.from_bytes(hashlib.sha256(name).digest()[:16], "big"))
+
+
+def options_from(config: Config) -> MatchOptions:
+    """Take the matcher's settings from the configuration."""
+    return MatchOptions(features=config.match.features)
 
 
 def match_pairs(

@@ -9,11 +9,10 @@ import numpy as np
 
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
-from gvpipe.core.matching import MatchOptions
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
-from gvpipe.pairing import match_pairs
+from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import Body, MatchBody, PairRow
 from gvpipe.stages.contract import Context, Outcome
 
@@ -32,11 +31,6 @@ class MatchPoints:
 def needs(config: Config) -> tuple[type[Body], ...]:
     """Read nothing but pictures."""
     return ()
-
-
-def options_from(config: Config) -> MatchOptions:
-    """Take the matcher's settings from the configuration."""
-    return MatchOptions(features=config.match.features)
 
 
 def planned_pairs(config: Config, dataset: Dataset) -> list[tuple[str, str]]:
