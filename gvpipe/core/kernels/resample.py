@@ -1,0 +1,110 @@
+"""Loops over whole level-set volumes: energy, and halving and doubling of the resolution.
+
+The layout of the arrays is that of :mod:`gvpipe.core.kernels.levelset`.
+"""
+
+import numpy as np
+
+from gvpipe.core.kernels.jit import kernel
+from gvpipe.core.kernels.levelset import Scale, Volume
+
+
+@kernel
+def energy_slab(
+    u: Volume, f: Volume, g: Volume, inv: Scale, width: np.float32, start: int, stop: int
+) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Volume and area sums of each x slice, per voxel.
+
+    Parameters
+    ----------
+    u, f, g : (nx, ny, nz + 2) float32
+        Padded level-set function and weights.
+    inv : 3 float32
+        One over the spacing; 0 along z counts the length of curves in layers.
+    width : float32
+        Half width of the smoothed step, in units of u.
+
+    Returns
+    -------
+    sums : (stop - start, 2) float64
+        Sum of ``f H(u)`` and of ``g delta(u) |grad u|`` over each slice.
+    """
+    nx, ny, depth = u.shape
+    ix, iy, iz = inv
+    sums = np.zeros((stop - start, 2))
+    half, one = np.float32(0.5), np.float32(1)
+    for i in range(start, stop):
+        im, ip = max(i - 1, 0), min(i + 1, nx - 1)
+        volume = area = 0.0
+        for j in range(ny):
+            row, fr, gr = u[i, j], f[i, j], g[i, j]
+            xm, xp = u[im, j], u[ip, j]
+            ym, yp = u[i, max(j - 1, 0)], u[i, min(j + 1, ny - 1)]
+            for k in range(1, depth - 1):
+                t = row[k] / width
+                if t <= -one:
+                    continue
+                if t >= one:
+                    volume += fr[k]
+                    continue
+                ux, uy = (xp[k] - xm[k]) * half * ix, (yp[k] - ym[k]) * half * iy
+                uz = (row[k + 1] - row[k - 1]) * half * iz
+                volume += fr[k] * (half + t * (np.float32(0.75) - np.float32(0.25) * t * t))
+                delta = np.float32(0.75) * (one - t * t) / width
+                area += gr[k] * delta * np.sqrt(ux * ux + uy * uy + uz * uz)
+        sums[i - start, 0], sums[i - start, 1] = volume, area
+    return sums
+
+
+@kernel
+def halve(a: Volume) -> Volume:
+    """Average blocks of 2 x 2 x 2 voxels; an odd last voxel is counted twice (padded arrays)."""
+    nx, ny, nz = a.shape[0], a.shape[1], a.shape[2] - 2
+    mx, my, mz = (nx + 1) // 2, (ny + 1) // 2, (nz + 1) // 2
+    out = np.empty((mx, my, mz + 2), np.float32)
+    total = np.empty(nz + 2, np.float32)
+    for i in range(mx):
+        i0, i1 = 2 * i, min(2 * i + 1, nx - 1)
+        for j in range(my):
+            j0, j1 = 2 * j, min(2 * j + 1, ny - 1)
+            p, q, r, s = a[i0, j0], a[i0, j1], a[i1, j0], a[i1, j1]
+            for k in range(nz + 2):
+                total[k] = p[k] + q[k] + r[k] + s[k]
+            row = out[i, j]
+            for k in range(mz):
+                # an odd last voxel meets its own copy in the padding
+                row[k + 1] = np.float32(0.125) * (total[2 * k + 1] + total[2 * k + 2])
+            row[0], row[mz + 1] = row[1], row[mz]
+    return out
+
+
+@kernel
+def double(a: Volume, out: Volume) -> None:
+    """Interpolate trilinearly to twice the resolution; inverse of :func:`halve` (padded arrays).
+
+    Parameters
+    ----------
+    a : (mx, my, mz + 2) float32
+    out : (nx, ny, nz + 2) float32
+        Written; nx is 2 mx or 2 mx - 1, likewise ny and nz.
+    """
+    near, far = np.float32(0.75), np.float32(0.25)
+    mx, my, mz = a.shape[0], a.shape[1], a.shape[2] - 2
+    nx, ny, nz = out.shape[0], out.shape[1], out.shape[2] - 2
+    mixed = np.empty(mz + 2, np.float32)
+    for i in range(nx):
+        i0 = i // 2
+        i1 = min(i0 + 1, mx - 1) if i % 2 else max(i0 - 1, 0)
+        for j in range(ny):
+            j0 = j // 2
+            j1 = min(j0 + 1, my - 1) if j % 2 else max(j0 - 1, 0)
+            p, q, r, s = a[i0, j0], a[i0, j1], a[i1, j0], a[i1, j1]
+            for k in range(mz + 2):
+                mixed[k] = near * (near * p[k] + far * q[k]) + far * (near * r[k] + far * s[k])
+            row = out[i, j]
+            for k in range(nz // 2):
+                row[2 * k + 1] = near * mixed[k + 1] + far * mixed[k]
+                row[2 * k + 2] = near * mixed[k + 1] + far * mixed[k + 2]
+            if nz % 2:
+                row[nz] = near * mixed[mz] + far * mixed[mz - 1]
+            row[0], row[nz + 1] = row[1], row[nz]
