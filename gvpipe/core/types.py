@@ -110,6 +110,28 @@ class Pose:
 
 
 @dataclass(frozen=True)
+class PosedView:
+    """An image whose camera pose in the map is known.
+
+    Attributes
+    ----------
+    image_id : str
+        ``robot/file name``.
+    pixels : (H, W, 3) uint8
+        Undistorted RGB pixels.
+    camera : Camera
+        Intrinsics of the undistorted pixels.
+    map_from_camera : Pose
+        Camera (x right, y down, z ahead) to map (ground z = 0, z up), metres.
+    """
+
+    image_id: str
+    pixels: Image
+    camera: Camera
+    map_from_camera: Pose
+
+
+@dataclass(frozen=True)
 class Rejected:
     """An expected failure as a value: no result, and why.
 
