@@ -1,0 +1,93 @@
+"""What is kept of one image for matching, and where its overhead view is sampled."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.types import Camera, Float, Mount
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """Every threshold of the matcher.
+
+    Attributes
+    ----------
+    features : str
+        A key of ``gvpipe.core.matching.MATCHERS``.
+    tilt_sigma, roll_sigma : float
+        Error to expect of the configured tilt and roll, radians.
+    height_sigma : float
+        Error to expect of the ratio of two configured heights, natural logarithm.
+    max_tilt_error : float
+        Tilts and rolls farther than this from the configured ones belong to another plane, radians.
+    max_range : float
+        Ground farther than this many camera heights is not used.
+    corners : int
+        Most Harris corners an image (``invariants``).
+    corner_distance_px : float
+        Least distance between them.
+    smoothing_px : float
+        Scale of the Gaussian derivatives on the overhead view, its pixels.
+    min_colour : float
+        ``MinD_color``: invariants nearer than this may match.
+    min_correlation : float
+        ``Minl_c``: least correlation of grey profiles along matched segments.
+    max_stretch : float
+        Largest relative difference of matched segments' lengths.
+    window_px : int
+        Side of the best-fit window, overhead pixels.
+    max_trials : int
+        Most random segments.
+    """
+
+    features: str = "sift"
+    tilt_sigma: float = np.radians(3.0)
+    roll_sigma: float = np.radians(3.0)
+    height_sigma: float = 0.03
+    max_tilt_error: float = np.radians(14.0)
+    max_range: float = 5.0
+    corners: int = 500
+    corner_distance_px: float = 5.0
+    smoothing_px: float = 1.5
+    min_colour: float = 50.0
+    min_correlation: float = 0.7
+    max_stretch: float = 0.1
+    window_px: int = 4
+    max_trials: int = 300
+
+
+@dataclass(frozen=True)
+class Features:
+    """Points of one image on the ground.
+
+    Attributes
+    ----------
+    kind : str
+        Which extractor made them.
+    pixels : (N, 2) float64
+        Where they were seen in the undistorted picture.
+    ground : (N, 2) float64
+        The same in the robot's ground frame under the configured mount, metres.
+    descriptors : (N, D)
+        What they look like.
+    pixels_per_metre : float
+        Scale of the overhead view they were described on.
+    """
+
+    kind: str
+    pixels: Float
+    ground: Float
+    descriptors: NDArray[np.generic]
+    pixels_per_metre: float
+
+
+def overhead_scale(camera: Camera, mount: Mount) -> float:
+    """Scale for a camera's overhead view, pixels per metre.
+
+    About the picture's own sampling of the ground on the optical axis, as a power of two so that
+    cameras of about the same height share it.
+    """
+    distance = mount.height / max(np.sin(mount.tilt), np.sin(np.radians(10.0)))
+    return float(2.0 ** np.round(np.log2(0.75 * camera.fx / distance)))
