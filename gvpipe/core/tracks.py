@@ -1,0 +1,105 @@
+"""Ground points seen in several images, chained together from the matches of image pairs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gvpipe.core.types import Float
+
+Index = NDArray[np.int64]
+
+SAME_CORNER_PX = 0.01
+"""Matches of one image that end closer than this, pixels, on a common grid are the same corner.
+
+Detections are stored as they were found, so one corner used in two pairs has equal coordinates
+up to rounding; corners found anew for each pair stay separate points."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Which cameras saw which ground points where.
+
+    Attributes
+    ----------
+    camera : (M,) int64
+        Camera of each observation, ascending within a point.
+    pixel : (M, 2) float64
+        Observed pixels.
+    start : (T + 1,) int64
+        Observations ``start[t]:start[t + 1]`` belong to point t.
+    """
+
+    camera: Index
+    pixel: Float
+    start: Index
+
+    @property
+    def point(self) -> Index:
+        """Point of each observation, (M,)."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+
+def chain_matches(
+    pairs: Sequence[tuple[int, int]], points: Sequence[tuple[Float, Float]]
+) -> Tracks:
+    """Chain matched pixels that share a corner into tracks.
+
+    Parameters
+    ----------
+    pairs : sequence of (int, int)
+        Cameras i and j of each link.
+    points : sequence of ((N, 2) float64, (N, 2) float64)
+        Matched pixels of each link in i and in j.
+
+    Returns
+    -------
+    tracks : Tracks
+        Every track sees a camera at most once: where a chain returns to an image at another
+        corner, at least one of its matches is wrong, and its matches stay points of their own.
+    """
+    camera = np.concatenate(
+        [np.repeat([i, j], len(p)) for (i, j), (p, _) in zip(pairs, points, strict=True)]
+        or [np.empty(0, np.int64)]
+    )
+    pixel = np.concatenate([np.concatenate(both) for both in points] or [np.empty((0, 2))])
+    sizes = [len(p) for p, _ in points]
+    offsets = np.cumsum([0, *(2 * n for n in sizes)])
+    left = np.concatenate(
+        [np.arange(o, o + n) for o, n in zip(offsets, sizes, strict=False)] or [[]]
+    )
+    left = left.astype(np.int64)
+    right = left + np.repeat(sizes, sizes) if len(left) else left
+    cells = np.column_stack([camera, np.round(pixel / SAME_CORNER_PX)]).astype(np.int64)
+    _, first, corner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    corner = corner.ravel()
+    count = len(first)
+    graph = coo_matrix((np.ones(len(left)), (corner[left], corner[right])), (count, count))
+    _, chain = connected_components(graph, directed=False)
+    return _gather(camera, pixel, first, chain.astype(np.int64), corner[left], corner[right])
+
+
+def _gather(
+    camera: Index, pixel: Float, first: Index, chain: Index, left: Index, right: Index
+) -> Tracks:
+    """Split the chains that meet an image twice, then list the observations by track."""
+    seen = np.column_stack([chain, camera[first]])
+    _, inverse, times = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
+    torn = np.zeros(chain.max(initial=-1) + 1, dtype=bool)
+    torn[chain[times[inverse.ravel()] > 1]] = True
+    whole = ~torn[chain]
+    loose = np.unique(np.column_stack([left, right])[torn[chain[left]]], axis=0)
+    loose = loose[camera[first[loose[:, 0]]] != camera[first[loose[:, 1]]]]
+    corner = np.concatenate([np.nonzero(whole)[0], loose.ravel()])
+    track = np.concatenate([chain[whole], len(torn) + np.repeat(np.arange(len(loose)), 2)])
+    order = np.lexsort((camera[first[corner]], track))
+    corner, track = corner[order], track[order]
+    starts = np.nonzero(np.diff(track, prepend=-1))[0]
+    return Tracks(
+        camera=camera[first[corner]].astype(np.int64),
+        pixel=pixel[first[corner]],
+        start=np.append(starts, len(track)).astype(np.int64),
+    )
