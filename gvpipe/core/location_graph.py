@@ -5,13 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-from gvpipe.core.adjustment import adjust, marginal_covariances
+from gvpipe.core.adjustment import adjust
 from gvpipe.core.ground import ground_points
 from gvpipe.core.ground_bundle import Problem, Rig, Spread, centres, orientation
-from gvpipe.core.homography import apply
-from gvpipe.core.pose import mount_of, robot_from_camera, yaw_tilt_roll
+from gvpipe.core.pose import robot_from_camera, yaw_tilt_roll
 from gvpipe.core.tracks import chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
 

@@ -1,5 +1,6 @@
 """What every stage receives and returns."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -8,8 +9,9 @@ from typing import Any, Generic, Protocol, TypeVar, cast
 
 from gvpipe.artefacts import Artefact
 from gvpipe.config import Config
+from gvpipe.core.types import Pose, PosedView
 from gvpipe.dataset import Dataset
-from gvpipe.records import Body, SkippedImage
+from gvpipe.records import Body, SkippedImage, SlamBody
 
 B = TypeVar("B", bound=Body)
 P = TypeVar("P")
@@ -92,3 +94,24 @@ class Stage(Protocol):
 
     def write(self, outcome: Outcome[Any, Any], folder: Path) -> None:
         """Write the files beside the JSON into a staging folder."""
+
+
+def main_component(slam: SlamBody) -> int:
+    """Return the component with most images; the first of them if several are as large."""
+    sizes = Counter(row.component for row in slam.poses)
+    return min(sizes, key=lambda component: (-sizes[component], component), default=0)
+
+
+def posed_views(dataset: Dataset, slam: SlamBody) -> list[PosedView]:
+    """Read the pictures of the main component with their poses, in the order of the poses."""
+    component = main_component(slam)
+    return [
+        PosedView(
+            image_id=row.image,
+            pixels=(view := dataset.view(row.image)).pixels,
+            camera=view.camera,
+            map_from_camera=Pose(row.R, row.t),
+        )
+        for row in slam.poses
+        if row.component == component
+    ]

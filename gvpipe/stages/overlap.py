@@ -95,9 +95,7 @@ def write(outcome: Outcome[OverlapBody, Arrays], folder: Path) -> None:
     write_npz(folder / "overlap.npz", outcome.payload)
 
 
-def _meetings(
-    config: Config, dataset: Dataset, histograms: dict[str, Float]
-) -> Iterator[_Meeting]:
+def _meetings(config: Config, dataset: Dataset, histograms: dict[str, Float]) -> Iterator[_Meeting]:
     """Rank the pictures of every two robots."""
     for a, b in combinations(dataset.robots, 2):
         ids_a = [entry.image_id for entry in dataset.robots[a]]
@@ -105,9 +103,7 @@ def _meetings(
         of_a = np.array([histograms[i] for i in ids_a]).reshape(-1, BINS)
         of_b = np.array([histograms[i] for i in ids_b]).reshape(-1, BINS)
         distances = {name: distance(of_a, of_b) for name, distance in DISTANCES.items()}
-        candidates = candidate_pairs(
-            distances[config.overlap.distance], config.overlap.threshold
-        )
+        candidates = candidate_pairs(distances[config.overlap.distance], config.overlap.threshold)
         pairs = [(ids_a[c.i], ids_b[c.j]) for c in candidates]
         yield _Meeting((a, b), dict(distances), candidates, pairs)
 
