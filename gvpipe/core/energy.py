@@ -7,10 +7,6 @@ from numpy.typing import NDArray
 
 from gvpipe.core.kernels.resample import energy_slab
 
-STEP_WIDTH = 1.5
-"""Half width of the smoothed step and delta functions, voxels: wide enough for a delta on a grid
-to measure areas to a percent, narrow enough to keep two surfaces three voxels apart."""
-
 Volume = NDArray[np.float32]
 """(nx, ny, nz) float32."""
 
@@ -78,7 +74,7 @@ def measure_padded(
     u: Volume, f: Volume, g: Volume, spacing: NDArray[np.float64], layers: bool
 ) -> Energy:
     """Evaluate the energy of arrays that are :func:`padded` already."""
-    width = np.float32(STEP_WIDTH * spacing[: 2 if layers else 3].min())
-    sums = energy_slab(u, f, g, inverse_spacing(spacing, layers), width, 0, len(u)).sum(axis=0)
+    pitch = np.float32(spacing[: 2 if layers else 3].min())
+    sums = energy_slab(u, f, g, inverse_spacing(spacing, layers), pitch, 0, len(u)).sum(axis=0)
     cell = float(np.prod(spacing))
     return Energy(volume=float(sums[0]) * cell, area=float(sums[1]) * cell)

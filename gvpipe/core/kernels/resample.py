@@ -10,8 +10,21 @@ from gvpipe.core.kernels.levelset import Scale, Volume
 
 
 @kernel
+def _spline(t: np.float32) -> tuple[np.float32, np.float32]:
+    """Quadratic B-spline and its integral at -1.5 < t < 1.5."""
+    size, reach = abs(t), np.float32(1.5)
+    if size <= np.float32(0.5):
+        square = t * t
+        step = np.float32(0.5) + t * (np.float32(0.75) - square / np.float32(3))
+        return np.float32(0.75) - square, step
+    left = reach - size
+    tail = left * left * left / np.float32(6)
+    return np.float32(0.5) * left * left, np.float32(1) - tail if t > 0 else tail
+
+
+@kernel
 def energy_slab(
-    u: Volume, f: Volume, g: Volume, inv: Scale, width: np.float32, start: int, stop: int
+    u: Volume, f: Volume, g: Volume, inv: Scale, pitch: np.float32, start: int, stop: int
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Volume and area sums of each x slice, per voxel.
 
@@ -21,8 +34,9 @@ def energy_slab(
         Padded level-set function and weights.
     inv : 3 float32
         One over the spacing; 0 along z counts the length of curves in layers.
-    width : float32
-        Half width of the smoothed step, in units of u.
+    pitch : float32
+        Finest spacing: the smoothed delta is the quadratic B-spline of this spacing, whose shifts
+        sum to one, so that a plane's energy does not depend on where it cuts the grid.
 
     Returns
     -------
@@ -32,7 +46,7 @@ def energy_slab(
     nx, ny, depth = u.shape
     ix, iy, iz = inv
     sums = np.zeros((stop - start, 2))
-    half, one = np.float32(0.5), np.float32(1)
+    half, reach = np.float32(0.5), np.float32(1.5)
     for i in range(start, stop):
         im, ip = max(i - 1, 0), min(i + 1, nx - 1)
         volume = area = 0.0
@@ -41,17 +55,17 @@ def energy_slab(
             xm, xp = u[im, j], u[ip, j]
             ym, yp = u[i, max(j - 1, 0)], u[i, min(j + 1, ny - 1)]
             for k in range(1, depth - 1):
-                t = row[k] / width
-                if t <= -one:
+                t = row[k] / pitch
+                if t <= -reach:
                     continue
-                if t >= one:
+                if t >= reach:
                     volume += fr[k]
                     continue
                 ux, uy = (xp[k] - xm[k]) * half * ix, (yp[k] - ym[k]) * half * iy
                 uz = (row[k + 1] - row[k - 1]) * half * iz
-                volume += fr[k] * (half + t * (np.float32(0.75) - np.float32(0.25) * t * t))
-                delta = np.float32(0.75) * (one - t * t) / width
-                area += gr[k] * delta * np.sqrt(ux * ux + uy * uy + uz * uz)
+                delta, step = _spline(t)
+                volume += fr[k] * step
+                area += gr[k] * delta / pitch * np.sqrt(ux * ux + uy * uy + uz * uz)
         sums[i - start, 0], sums[i - start, 1] = volume, area
     return sums
 
