@@ -4,19 +4,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gvpipe.core.ground_bundle import (
-    CAUCHY,
-    Normal,
-    Problem,
-    Rig,
-    Spread,
-    State,
-    rescaled,
-)
+from gvpipe.core.ground_bundle import Problem
+from gvpipe.core.normal import Normal, marginal_covariances
+from gvpipe.core.pose import yaw_tilt_roll
+from gvpipe.core.rig import Rig, Spread, State, orientation, pose_jacobians, rescaled
 from gvpipe.core.types import Float
+
+CAUCHY = 2.385
+"""Loss scale over residual deviation: 95 % efficient when the residuals are Gaussian."""
+
+FIRST_LOSS_PX = 10.0
+"""Loss scale of the first adjustment, pixels: initial poses are off by several pixels."""
 
 ROUNDS = 8
 """Re-estimations of the variances at most; they settle in three to five."""
+
+STEPS = 10
+"""Levenberg-Marquardt steps a round."""
 
 SETTLED = 0.02
 """The variances have settled when none changes by more than this share."""
@@ -27,12 +31,15 @@ HELD_BY_HAND = 0.01
 A robot's suspension gives some tenths of a percent, a steady hand several percent. By hand the
 configured height is that of the first picture; on a robot it is the mean."""
 
-EXPECTED_LEAN = np.radians(0.3)
-EXPECTED_HEIGHT = 0.003
-"""Deviations within a robot, radians and relative, that two fictitious pictures vote for."""
+LOOSE_HEIGHT = 0.1
+"""Relative height deviation within a robot that the adjustment starts from."""
+
+EXPECTED = np.array([np.radians(0.3), np.radians(0.3), 0.003])
+"""Deviations within a robot (two leans, radians; relative height) that `FICTITIOUS` pictures
+vote for, so that two or three real pictures do not settle on zero."""
 
 FICTITIOUS = 2.0
-"""Weight of that vote in pictures, so that two or three pictures do not settle on zero."""
+"""Weight of that vote, in pictures."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +54,6 @@ class Adjusted:
         Priors as the data set them.
     noise_px : float
         Deviation of one pixel coordinate.
-    loss_px : float
-        Residual scale of the robust loss.
     normal : Normal
         Normal matrix at the optimum.
     """
@@ -56,12 +61,11 @@ class Adjusted:
     state: State
     spread: Spread
     noise_px: float
-    loss_px: float
     normal: Normal
 
 
 def adjust(
-    problem: Problem, cameras: Float, spread: Spread, *, held_by_hand: bool | None
+    problem: Problem, cameras: Float, mean_sigma: Float, height_sigma: float | None
 ) -> Adjusted:
     """Alternate between the adjustment and the variances it rests on.
 
@@ -71,8 +75,10 @@ def adjust(
         Cameras and tracks.
     cameras : (N, 6) float64
         Initial unknowns, see :class:`State`.
-    spread : Spread
-        Loose priors to begin with; those within robots are then estimated.
+    mean_sigma : (G, 3) float64
+        Uncertainty of each robot's configured leans (radians) and relative height.
+    height_sigma : float, optional
+        Relative deviation of single heights within a robot; estimated if None.
 
     Returns
     -------
@@ -80,80 +86,122 @@ def adjust(
 
     Notes
     -----
-    Deviations within robots follow MacKay's evidence update: their squared sum over the number
-    of them that the data determine.
+    Deviations within robots start loose and follow MacKay's evidence update: their squared sum
+    over the number of them that the data determine.
     """
     groups = problem.groups
+    within = mean_sigma.copy()
+    within[:, 2] = LOOSE_HEIGHT if height_sigma is None else height_sigma
+    spread = Spread(within, mean_sigma, np.full(groups, -1, dtype=np.int64))
     state = State(cameras, np.zeros((groups, 3)), problem.initial_points(cameras))
-    noise_px, loss_px = 1.0, 10.0
-    state, _ = problem.minimise(state, spread, loss_px, noise_px, steps=10)
-    state = rescaled(problem.rig, state, spread)
+    state = problem.minimise(state, spread, FIRST_LOSS_PX, 1.0, STEPS)
     loss_px, noise_px = _noise(problem, state)
     for _ in range(ROUNDS):
-        state, normal = problem.minimise(state, spread, loss_px, noise_px, steps=10)
-        state = rescaled(problem.rig, state, spread)
-        new_loss_px, new_noise_px = _noise(problem, state)
-        tighter = _within(problem.rig, state, spread, normal)
-        change = max(
-            float(np.abs(np.log(tighter.within / spread.within)).max()),
-            abs(np.log(new_noise_px / noise_px)),
-        )
-        spread, loss_px, noise_px = tighter, new_loss_px, new_noise_px
-        if change < SETTLED:
+        state = problem.minimise(state, spread, loss_px, noise_px, STEPS)
+        state = rescaled(state, spread)
+        variance = _variances(problem, state, spread, loss_px, noise_px)
+        tighter = _within(problem.rig, state, spread, variance, height_sigma)
+        loss_px, new_noise_px = _noise(problem, state)
+        change = np.abs(np.log(np.append(tighter.within / spread.within, new_noise_px / noise_px)))
+        spread, noise_px = tighter, new_noise_px
+        if change.max() < SETTLED:
             break
-    state = rescaled(problem.rig, state, spread)
-    state, normal = problem.minimise(state, spread, loss_px, noise_px, steps=10)
-    return Adjusted(state, spread, noise_px, loss_px, normal)
+    state = problem.minimise(state, spread, loss_px, noise_px, STEPS)
+    state = rescaled(state, spread)
+    return Adjusted(state, spread, noise_px, problem.normal(state, spread, loss_px, noise_px))
 
 
 def _noise(problem: Problem, state: State) -> tuple[float, float]:
-    """Loss scale and the noise variance that makes the weighted normal matrix honest, pixels."""
+    """Loss scale, and the noise that makes the weighted normal matrix honest, pixels."""
     residual_sq = problem.residuals_sq(state)
     residual_sq = residual_sq[np.isfinite(residual_sq)]
-    spread_sq = float(np.median(residual_sq)) / (2.0 * np.log(2.0))
-    loss_sq = max(CAUCHY**2 * spread_sq, 1e-12)
+    # the squared length of a two-dimensional Gaussian has the median 2 ln 2 variances
+    loss_sq = max(CAUCHY**2 * float(np.median(residual_sq)) / (2.0 * np.log(2.0)), 1e-12)
     ratio = residual_sq / loss_sq
     weight = 1.0 / (1.0 + ratio)
-    # mean of the loss' curvature along and across the residual
+    # mean curvature of the loss along and across the residual (Huber's asymptotic variance)
     curvature = float((weight * (1.0 + (1.0 - ratio) * weight)).mean()) / 2.0
-    equations = 2 * len(residual_sq)
-    freedom = equations - 2 * (len(problem.tracks.start) - 1) - 6 * len(state.cameras)
-    variance = float((weight**2 * residual_sq).sum()) / max(freedom, 1)
-    return float(np.sqrt(loss_sq)), float(np.sqrt(variance * weight.mean()) / curvature)
+    unknowns = 2 * (len(problem.tracks.start) - 1) + 6 * len(state.cameras)
+    freedom = max(2 * len(residual_sq) - unknowns, 1)
+    variance = float((weight**2 * residual_sq).sum()) / freedom
+    return float(np.sqrt(loss_sq)), float(np.sqrt(variance * weight.mean())) / curvature
 
 
-def _within(rig: Rig, state: State, spread: Spread, normal: Normal) -> Spread:
-    """Deviations within each robot, re-estimated."""
-    variance = marginal_variances(normal, len(state.cameras))[:, 3:]
+def _variances(
+    problem: Problem, state: State, spread: Spread, loss_px: float, noise_px: float
+) -> Float:
+    """Variances (N, 3) of leans and logarithmic heights given the data and the present priors."""
+    normal = problem.normal(state, spread, loss_px, noise_px)
+    own, _ = marginal_covariances(normal, len(state.cameras), np.empty(0, dtype=np.int64))
+    return np.asarray(np.einsum("nii->ni", own)[:, 3:])
+
+
+def _within(
+    rig: Rig, state: State, spread: Spread, variance: Float, height_sigma: float | None
+) -> Spread:
+    """Deviations within each robot, re-estimated, and what the configured height means."""
     deviation = state.cameras[:, 3:] - state.means[rig.group]
-    within = spread.within.copy()
-    anchor = spread.anchor.copy()
-    expected = np.array([EXPECTED_LEAN, EXPECTED_LEAN, EXPECTED_HEIGHT])
+    within, anchor = spread.within.copy(), spread.anchor.copy()
     for g in range(len(within)):
         own = rig.group == g
         determined = np.clip(1.0 - variance[own] / spread.within[g] ** 2, 0.0, 1.0).sum(axis=0)
-        sums = (deviation[own] ** 2).sum(axis=0) + FICTITIOUS * expected**2
+        sums = (deviation[own] ** 2).sum(axis=0) + FICTITIOUS * EXPECTED**2
         within[g] = np.sqrt(sums / (determined + FICTITIOUS))
         by_hand = within[g, 2] > HELD_BY_HAND
-        anchor[g] = int(np.nonzero(own)[0][0]) if by_hand else -1
+        anchor[g] = int(np.argmax(own)) if by_hand else -1
+        if height_sigma is not None:
+            within[g, 2] = height_sigma
     return replace(spread, within=within, anchor=anchor)
 
 
-def marginal_variances(normal: Normal, cameras: int) -> Float:
-    """Variances of the camera unknowns, (N, 6); zero where they are held fixed."""
-    return np.einsum("nii->ni", marginal_covariances(normal, cameras))
+def pose_covariances(rig: Rig, adjusted: Adjusted, reference: int) -> Float:
+    """Covariances of the poses in the frame below the reference camera, along its axis.
 
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    adjusted : Adjusted
+        Their adjustment; the reference's position and heading are held fixed in it.
+    reference : int
+        Camera that defines the frame.
 
-def marginal_covariances(normal: Normal, cameras: int) -> Float:
-    """Covariances (N, 6, 6) of each camera's unknowns."""
-    factor = normal.factor()
-    out = np.empty((cameras, 6, 6))
-    batch = 50
-    for begin in range(0, cameras, batch):
-        end = min(begin + batch, cameras)
-        right = np.zeros((normal.size, 6 * (end - begin)))
-        right[np.arange(6 * begin, 6 * end), np.arange(6 * (end - begin))] = 1.0
-        solved = factor.solve(right)
-        for k in range(begin, end):
-            out[k] = solved[6 * k : 6 * k + 6, 6 * (k - begin) : 6 * (k - begin) + 6]
-    return out
+    Returns
+    -------
+    covariance : (N, 6, 6) float64
+        Of (rotation vector, translation) in that frame, radians and metres.
+
+    Notes
+    -----
+    The frame turns with the reference camera's optical axis, whose heading moves a little when
+    its lean does; that is why the covariance with the reference's leans enters.
+    """
+    cameras = adjusted.state.cameras
+    count = len(cameras)
+    lean = (6 * reference + np.array([3, 4])).astype(np.int64)
+    own, cross = marginal_covariances(adjusted.normal, count, lean)
+    jacobian = pose_jacobians(rig, cameras)
+    rotation = orientation(rig, cameras)[0][reference].T
+    # change of the axis' heading by the two leans of the reference
+    turning = jacobian[reference][:3, 3:5]
+    upright = rotation[:, 2] if np.hypot(*rotation[:2, 2]) > 1e-9 else -rotation[:, 1]
+    moved = np.cross(turning.T, upright)
+    by_lean = (upright[0] * moved[:, 1] - upright[1] * moved[:, 0]) / (upright[:2] ** 2).sum()
+    angle = -yaw_tilt_roll(rotation)[0]
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    position = cameras[:, :2] @ turn[:2, :2].T
+    twist = np.zeros((count, 6))
+    twist[:, 2], twist[:, 3], twist[:, 4] = -1.0, position[:, 1], -position[:, 0]
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = turn
+    a = both @ jacobian
+    b = twist[:, :, None] * by_lean[None, None, :]
+    lean_block = own[reference][3:5, 3:5]
+    mixed = a @ cross @ b.transpose(0, 2, 1)
+    return np.asarray(
+        a @ own @ a.transpose(0, 2, 1)
+        + mixed
+        + mixed.transpose(0, 2, 1)
+        + b @ lean_block @ b.transpose(0, 2, 1)
+    )

@@ -11,6 +11,9 @@ Index = NDArray[np.int64]
 MIN_DEPTH = 1e-3
 """Observations whose point lies nearer to the camera plane than this, metres, count as behind."""
 
+BEHIND_PX2 = 1e8
+"""Squared residual of a point behind its camera, which has no projection, squared pixels."""
+
 
 @kernel
 def evaluate(
@@ -42,12 +45,12 @@ def evaluate(
     loss_px : float
         Scale c of the Cauchy loss ``c^2 log(1 + r^2 / c^2)``, pixels.
     residual_sq : (M,) float64
-        Output, squared pixels; infinite for points behind their camera.
+        Output, squared pixels; ``BEHIND_PX2`` for points behind their camera.
 
     Returns
     -------
     cost : float
-        Sum of the losses, squared pixels; infinite if a point lies behind its camera.
+        Sum of the losses, squared pixels.
     """
     cost = 0.0
     c2 = loss_px * loss_px
@@ -60,12 +63,11 @@ def evaluate(
             dz = -centre[i, 2]
             w = g[2, 0] * dx + g[2, 1] * dy + g[2, 2] * dz
             if w < MIN_DEPTH:
-                residual_sq[k] = np.inf
-                cost = np.inf
-                continue
-            u = (g[0, 0] * dx + g[0, 1] * dy + g[0, 2] * dz) / w - pixel[k, 0]
-            v = (g[1, 0] * dx + g[1, 1] * dy + g[1, 2] * dz) / w - pixel[k, 1]
-            residual_sq[k] = u * u + v * v
+                residual_sq[k] = BEHIND_PX2
+            else:
+                u = (g[0, 0] * dx + g[0, 1] * dy + g[0, 2] * dz) / w - pixel[k, 0]
+                v = (g[1, 0] * dx + g[1, 1] * dy + g[1, 2] * dz) / w - pixel[k, 1]
+                residual_sq[k] = u * u + v * v
             cost += c2 * np.log1p(residual_sq[k] / c2)
     return cost
 
@@ -131,9 +133,11 @@ def linearise(
             y0 = g[0, 0] * d[0] + g[0, 1] * d[1] + g[0, 2] * d[2]
             y1 = g[1, 0] * d[0] + g[1, 1] * d[1] + g[1, 2] * d[2]
             y2 = g[2, 0] * d[0] + g[2, 1] * d[1] + g[2, 2] * d[2]
+            seen = y2 >= MIN_DEPTH
+            y2 = max(y2, MIN_DEPTH)
             u, v = y0 / y2, y1 / y2
             r0, r1 = u - pixel[k, 0], v - pixel[k, 1]
-            weight = 1.0 / (1.0 + (r0 * r0 + r1 * r1) / c2)
+            weight = 1.0 / (1.0 + (r0 * r0 + r1 * r1) / c2) if seen else 0.0
             for q in range(2):
                 jp[0, q] = (g[0, q] - u * g[2, q]) / y2
                 jp[1, q] = (g[1, q] - v * g[2, q]) / y2
@@ -164,7 +168,9 @@ def linearise(
                     )
             pair += count - a
         determinant = v00 * v11 - v01 * v01
-        i00, i01, i11 = v11 / determinant, -v01 / determinant, v00 / determinant
+        i00, i01, i11 = 0.0, 0.0, 0.0
+        if determinant > 0.0:
+            i00, i01, i11 = v11 / determinant, -v01 / determinant, v00 / determinant
         point_inverse[t, 0, 0], point_inverse[t, 1, 1] = i00, i11
         point_inverse[t, 0, 1] = point_inverse[t, 1, 0] = i01
         point_gradient[t, 0], point_gradient[t, 1] = g0, g1

@@ -1,0 +1,122 @@
+"""Closing errors: how far a chain of homographies misses a place that is seen again."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import breadth_first_order
+
+from gvpipe.core.ground import pixel_from_plane
+from gvpipe.core.homography import apply
+from gvpipe.core.links import Link
+from gvpipe.core.types import Camera, Float, Pose
+
+REPORTED = 20
+"""Closures reported at most, longest chains first."""
+
+SHORTEST_CHAIN = 3
+"""Links a chain must have for its closing error to say something about drift."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A loop walked along odometry and closed by another link.
+
+    Attributes
+    ----------
+    image_i, image_j : str
+        Images at the two ends, which see the same ground.
+    chain_links : int
+        Links of the chain between them.
+    concatenated_m : float
+        Median distance on the ground between the matches of j and those of i brought over by the
+        product of the chain's homographies (thesis eq. 4.3.1), metres.
+    optimised_m : float
+        The same with the poses of the map.
+    """
+
+    image_i: str
+    image_j: str
+    chain_links: int
+    concatenated_m: float
+    optimised_m: float
+
+
+def closures(
+    links: Sequence[Link], poses: Mapping[str, Pose], cameras: Mapping[str, Camera]
+) -> tuple[Closure, ...]:
+    """Closing errors of every loop that an odometry chain closes.
+
+    Parameters
+    ----------
+    links : sequence of Link
+        Links the map rests on.
+    poses : mapping of image id to Pose
+        Camera to map, of registered images.
+    cameras : mapping of image id to Camera
+        Intrinsics.
+
+    Returns
+    -------
+    closures : tuple of Closure
+        Longest chains first, at most ``REPORTED``.
+    """
+    images = list(poses)
+    index = {image: k for k, image in enumerate(images)}
+    step: dict[tuple[int, int], Float] = {}
+    for link in links:
+        if link.kind == "odometry":
+            i, j = index[link.image_i], index[link.image_j]
+            step[i, j], step[j, i] = link.homography, np.linalg.inv(link.homography)
+    if not step:
+        return ()
+    i, j = np.array(list(step)).T
+    graph = coo_matrix((np.ones(len(i)), (i, j)), (len(images), len(images))).tocsr()
+    out = []
+    for link in links:
+        if link.kind == "odometry":
+            continue
+        chain = _chain(graph, index[link.image_i], index[link.image_j])
+        if len(chain) <= SHORTEST_CHAIN:
+            continue
+        product = np.eye(3)
+        for a, b in zip(chain[:-1], chain[1:], strict=True):
+            product = step[a, b] @ product
+            product /= np.linalg.norm(product)
+        out.append((link, len(chain) - 1, product))
+    out.sort(key=lambda x: (-x[1], x[0].image_i, x[0].image_j))
+    return tuple(_measured(x, n, h, poses, cameras) for x, n, h in out[:REPORTED])
+
+
+def _chain(graph: coo_matrix, start: int, end: int) -> list[int]:
+    """Shortest chain of nodes from start to end; empty if there is none."""
+    _, parent = breadth_first_order(graph, start, directed=False)
+    chain = [end]
+    while chain[-1] != start:
+        if parent[chain[-1]] < 0:
+            return []
+        chain.append(int(parent[chain[-1]]))
+    return chain[::-1]
+
+
+def _measured(
+    link: Link, count: int, product: Float, poses: Mapping[str, Pose], cameras: Mapping[str, Camera]
+) -> Closure:
+    """Closing errors of one chain, measured on the ground."""
+    i, j = link.image_i, link.image_j
+    map_from_i = np.linalg.inv(pixel_from_plane(cameras[i], poses[i]))
+    map_from_j = np.linalg.inv(pixel_from_plane(cameras[j], poses[j]))
+    there = apply(map_from_j, link.points_j)
+
+    def median_m(points: Float) -> float:
+        distance = np.linalg.norm(points - there, axis=1)
+        return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
+
+    return Closure(
+        image_i=i,
+        image_j=j,
+        chain_links=count,
+        concatenated_m=median_m(apply(map_from_j @ product, link.points_i)),
+        optimised_m=median_m(apply(map_from_i, link.points_i)),
+    )
