@@ -70,7 +70,7 @@ class _Chain:
     def expectation(self, stage: str) -> _Expectation:
         """Work out what the stage's artefact must be made from to be fresh."""
         inputs = {entry.image_id: entry.sha256 for entry in self._dataset.entries}
-        inputs |= {f"poses of {r}": h for r, h in self._dataset.poses_sha256.items()}
+        inputs |= {f"poses of {r}": h for r, h in self._dataset.pose_files.items()}
         inputs |= {f"{n}/{a.body.file}": a.digest for n, a in self.needed(stage).items()}
         sections = stage_module(stage).SECTIONS
         return _Expectation(section_sha256(self._config, sections), inputs)

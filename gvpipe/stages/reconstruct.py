@@ -1,0 +1,178 @@
+"""The obstacles in 3D, from silhouettes against the mosaic and from consistent colours."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.artefacts import write_npz
+from gvpipe.config import Config, ReconstructConfig
+from gvpipe.core.background import GroundModel
+from gvpipe.core.evidence import Region, data_terms, find_regions
+from gvpipe.core.grid import VoxelGrid
+from gvpipe.core.levelset import Evolution, evolve
+from gvpipe.core.mesh import Obstacle, PointCloud, find_obstacles, join
+from gvpipe.core.silhouette import EvidenceOptions, Silhouette, silhouettes
+from gvpipe.core.types import PosedView
+from gvpipe.core.visibility import colour, surface_points
+from gvpipe.errors import InputError
+from gvpipe.formats.ply import write_mesh, write_points
+from gvpipe.records import Body, MosaicBody, ObstacleRow, ReconstructBody, SlamBody
+from gvpipe.stages.contract import Context, Outcome, posed_views
+
+SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "mosaic", "reconstruct", "seed")
+BODY = ReconstructBody
+
+
+@dataclass(frozen=True)
+class Volume:
+    """The level-set function of one region."""
+
+    grid: VoxelGrid
+    evolution: Evolution
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """All regions and what stands in them."""
+
+    volumes: tuple[Volume, ...]
+    obstacles: tuple[Obstacle, ...]
+    views: tuple[PosedView, ...]
+
+
+def needs(config: Config) -> tuple[type[Body], ...]:
+    """Read the poses and the ground's picture."""
+    return (SlamBody, MosaicBody)
+
+
+def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
+    """Find where obstacles stand, then their surfaces."""
+    settings = context.config.reconstruct
+    views = posed_views(context.dataset, context.artefact(SlamBody).body)
+    options = EvidenceOptions()
+    shapes = silhouettes(views, _ground(context), options)
+    regions = find_regions(views, shapes, options)
+    volumes = []
+    with context.progress("reconstruct", len(regions)) as ticker:
+        for region in regions:
+            volumes.append(_recover(region, views, shapes, settings, options))
+            ticker.advance()
+    found = [o for v in volumes for o in find_obstacles(v.evolution.u, v.grid)]
+    found.sort(key=lambda obstacle: -obstacle.volume_m3)
+    rows = tuple(
+        ObstacleRow(
+            id=k,
+            footprint=obstacle.footprint,
+            height_m=obstacle.height_m,
+            volume_m3=obstacle.volume_m3,
+            centroid=obstacle.centroid,
+        )
+        for k, obstacle in enumerate(found)
+    )
+    body = ReconstructBody(
+        method=settings.method,
+        obstacles=rows,
+        energy=_total_energy([v.evolution for v in volumes]),
+        iterations=max((v.evolution.iterations for v in volumes), default=0),
+        converged=all(v.evolution.converged for v in volumes),
+    )
+    summary = tuple(
+        (f"obstacle {row.id}", f"{row.height_m:.3f} m high, {row.volume_m3 * 1e3:.2f} litres")
+        for row in rows[:12]
+    )
+    return Outcome(
+        body,
+        Reconstruction(tuple(volumes), tuple(found), tuple(views)),
+        no_result=None if rows else "nothing stands on the ground that enough views see",
+        summary=(("obstacles", str(len(rows))), *summary),
+    )
+
+
+def write(outcome: Outcome[ReconstructBody, Reconstruction], folder: Path) -> None:
+    """Write the coloured mesh, its points and the level-set function."""
+    result = outcome.payload
+    meshes = [colour(obstacle.mesh, result.views) for obstacle in result.obstacles]
+    mesh = join(meshes)
+    write_mesh(folder / "obstacles.ply", mesh)
+    cloud = surface_points(mesh) if len(mesh.faces) else _no_points()
+    write_points(folder / "points.ply", cloud)
+    arrays: dict[str, NDArray[Any]] = {}
+    for k, volume in enumerate(result.volumes):
+        end = f"_{k}" if k else ""
+        arrays[f"u{end}"] = volume.evolution.u
+        arrays[f"origin{end}"] = volume.grid.origin
+        arrays[f"spacing{end}"] = volume.grid.spacing
+    if not arrays:
+        arrays = {
+            "u": np.zeros((0, 0, 0), np.float32),
+            "origin": np.zeros(3),
+            "spacing": np.ones(3),
+        }
+    write_npz(folder / "volume.npz", arrays)
+
+
+def _no_points() -> PointCloud:
+    nothing = np.empty((0, 3))
+    return PointCloud(nothing, nothing, nothing.astype(np.uint8))
+
+
+def _ground(context: Context) -> GroundModel:
+    """Read the mosaic as the model of the bare ground."""
+    mosaic = context.artefact(MosaicBody)
+    path = mosaic.folder / "mosaic.png"
+    picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None or picture.shape != (mosaic.body.height, mosaic.body.width, 4):
+        raise InputError(f"{path}: not the picture that mosaic.json describes")
+    rgba = cv2.cvtColor(picture, cv2.COLOR_BGRA2RGBA).astype(np.uint8)
+    return GroundModel(rgba, mosaic.body.map_from_pixel)
+
+
+def _grid(region: Region, views: Sequence[PosedView], cells: tuple[int, int, int]) -> VoxelGrid:
+    """Lay voxels over a region: as many as configured, none smaller than a pixel's footprint."""
+    size = region.upper - region.lower
+    middle = (region.lower + region.upper) / 2
+    distances = [np.linalg.norm(v.map_from_camera.translation - middle) for v in views]
+    focal = np.median([v.camera.fx for v in views])
+    pixel = float(np.median(distances) / focal)
+    spacing = max(float((size / np.array(cells)).max()), pixel)
+    shape = np.maximum(np.ceil(size / spacing).astype(int), 8)
+    origin = np.array([*(middle[:2] - (shape[:2] - 1) * spacing / 2), spacing / 2])
+    return VoxelGrid(origin, np.full(3, spacing), (int(shape[0]), int(shape[1]), int(shape[2])))
+
+
+def _recover(
+    region: Region,
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    settings: ReconstructConfig,
+    options: EvidenceOptions,
+) -> Volume:
+    """Evolve a box that fills the region down to the surface."""
+    grid = _grid(region, views, settings.grid)
+    f, g = data_terms(views, shapes, grid, options)
+    start = np.full(grid.shape, -1.0, np.float32)
+    start[2:-2, 2:-2, :-2] = 1.0
+    evolution = evolve(
+        start,
+        f,
+        g * float(grid.spacing[0]),
+        grid.spacing,
+        iterations=settings.iterations,
+        evolution=settings.evolution,
+    )
+    return Volume(grid, evolution)
+
+
+def _total_energy(evolutions: Sequence[Evolution]) -> tuple[tuple[int, float], ...]:
+    """Sum of the regions' energies: each holds its last value once it rests."""
+    steps = sorted({step for e in evolutions for step, _ in e.energy})
+    total = []
+    for step in steps:
+        values = [[v for s, v in e.energy if s <= step] or [e.energy[0][1]] for e in evolutions]
+        total.append((step, float(sum(v[-1] for v in values))))
+    return tuple(total)
