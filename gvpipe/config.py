@@ -55,7 +55,7 @@ Height = Annotated[float, Field(gt=0, le=1000)]
 Coefficient = Annotated[float, Field(ge=-1e4, le=1e4)]
 Distortion = Annotated[tuple[Coefficient, ...], Field(strict=False), BeforeValidator(_distortion)]
 ImagePair = Annotated[tuple[str, str], Field(strict=False)]
-PairList = Annotated[tuple[ImagePair, ...], Field(strict=False, min_length=1)]
+PairList = Annotated[tuple[ImagePair, ...], Field(strict=False)]
 Pairs = Annotated[
     Annotated[Literal["consecutive", "exhaustive"], Tag("word")] | Annotated[PairList, Tag("list")],
     Discriminator(_kind),

@@ -1,9 +1,9 @@
 """What is wrong with configuration data, in the user's words."""
 
-import difflib
 import re
 import types
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -20,17 +20,30 @@ from gvpipe.config import (
     sees_ground,
 )
 from gvpipe.formats.strict_yaml import KeyPath, format_value
-from gvpipe.names import escape
-
-Finding = tuple[KeyPath, str]
-"""A key path and what is wrong there."""
-
-UNKNOWN_KEY = "is not a known key"
-"""How the message on a key that is not in the schema begins."""
+from gvpipe.names import escape, nearest
 
 _ROBOT_NAME = re.compile(r"\w[\w.-]{0,63}\Z")
 _LONGEST_QUOTE = 60  # characters of a wrong value that a message repeats
 _Model = TypeVar("_Model", bound=Section)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One mistake.
+
+    Attributes
+    ----------
+    path : KeyPath
+        Of the value; the path of a missing or unknown key ends in that key.
+    message : str
+        What is wrong and what was expected.
+    about_key : bool
+        Whether the key itself is wrong, not its value.
+    """
+
+    path: KeyPath
+    message: str
+    about_key: bool = False
 
 
 def check(data: Mapping[str, object]) -> tuple[Config | None, list[Finding]]:
@@ -45,8 +58,8 @@ def check(data: Mapping[str, object]) -> tuple[Config | None, list[Finding]]:
     -------
     config : Config or None
         None if there are findings.
-    findings : list of (KeyPath, str)
-        Every mistake; the path of a missing or unknown key ends in that key.
+    findings : list of Finding
+        Every mistake.
     """
     config = None
     findings: list[Finding] = []
@@ -57,12 +70,6 @@ def check(data: Mapping[str, object]) -> tuple[Config | None, list[Finding]]:
             findings.append(_explain(data, item["loc"], item["type"], item["input"]))
     findings += _cross_checks(data)
     return (None if findings else config), findings
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """`` (did you mean X?)`` if a known name is near, else nothing."""
-    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def field_at(path: KeyPath) -> tuple[Any, FieldInfo | None]:
@@ -89,14 +96,15 @@ def _explain(data: object, loc: tuple[int | str, ...], kind: str, value: object)
         parent, _ = field_at(path[:-1])
         known = list(parent.model_fields)
         hint = nearest(str(path[-1]), known)
-        return path, f"{UNKNOWN_KEY}; expected one of {', '.join(known)}{hint}"
+        message = f"is not a known key; expected one of {', '.join(known)}{hint}"
+        return Finding(path, message, about_key=True)
     annotation, info = field_at(path)
     meaning = f" ({info.description})" if info is not None and info.description else ""
     own = isinstance(annotation, type) and issubclass(annotation, Section)
     expected = accepted(annotation, [] if own or info is None else info.metadata)
     if kind == "missing":
-        return path, f"is missing; expected {expected}{meaning}"
-    return path, f"is {quote(value)}; expected {expected}{'' if own else meaning}"
+        return Finding(path, f"is missing; expected {expected}{meaning}")
+    return Finding(path, f"is {quote(value)}; expected {expected}{'' if own else meaning}")
 
 
 def _document_path(data: object, loc: tuple[int | str, ...], keep_last: bool) -> KeyPath:
@@ -170,13 +178,15 @@ def _cross_checks(data: Mapping[str, object]) -> Iterator[Finding]:
     for name in robots:
         if not _ROBOT_NAME.match(name) or name.endswith("."):
             wanted = "1 to 64 letters, digits, _ . or -, beginning with a letter, digit or _"
-            yield ("robots", name), f"is not a usable name; expected {wanted}"
+            message = f"is not a usable name; expected {wanted}"
+            yield Finding(("robots", name), message, about_key=True)
     for path, robot in _holders(robots):
         camera = robot.get("camera")
         if isinstance(camera, str) and camera not in cameras:
             known = ", ".join(cameras) or "none"
             hint = nearest(camera, cameras)
-            yield (*path, "camera"), f"is {quote(camera)}; expected a camera (known: {known}){hint}"
+            message = f"is {quote(camera)}; expected a camera (known: {known}){hint}"
+            yield Finding((*path, "camera"), message)
     yield from _check_ids(data, robots)
     yield from _check_horizon(cameras, robots)
 
@@ -195,20 +205,25 @@ def _check_ids(data: Mapping[str, object], robots: Mapping[str, object]) -> Iter
         (("slam", "reference"), _mapping(data.get("slam")).get("reference"))
     ]
     pairs = _mapping(data.get("match")).get("pairs")
+    if pairs == []:
+        yield Finding(("match", "pairs"), "is an empty list; expected at least one pair")
     for k, pair in enumerate(pairs if isinstance(pairs, list) else []):
         if isinstance(pair, list):
             ids += [(("match", "pairs", k, n), image_id) for n, image_id in enumerate(pair)]
             if len(pair) == 2 and isinstance(pair[0], str) and pair[0] == pair[1]:
-                yield ("match", "pairs", k), f"is {quote(pair[0])} twice; expected two images"
+                message = f"is {quote(pair[0])} twice; expected two images"
+                yield Finding(("match", "pairs", k), message)
     for path, image_id in ids:
         if not isinstance(image_id, str):
             continue
         robot, slash, image = image_id.partition("/")
         if not slash or not image:
-            yield path, f"is {quote(image_id)}; expected robot/file name, for example A/0003.jpg"
+            expected = "expected robot/file name, for example A/0003.jpg"
+            yield Finding(path, f"is {quote(image_id)}; {expected}")
         elif robot not in robots:
             known = ", ".join(robots) or "none"
-            yield path, f"is {quote(image_id)}; expected an image of a robot (known: {known})"
+            expected = f"expected an image of a robot (known: {known})"
+            yield Finding(path, f"is {quote(image_id)}; {expected}")
 
 
 def _check_horizon(
@@ -228,7 +243,8 @@ def _check_horizon(
             roll = robot.roll if over.roll is None else over.roll
             if camera is not None and not sees_ground(camera, tilt, roll):
                 expected = "expected the lowest image row below the horizon"
-                yield path, f"sees no ground at tilt {tilt:g}, roll {roll:g}; {expected}"
+                seen = f"sees no ground at tilt {tilt:g}, roll {roll:g}"
+                yield Finding(path, f"{seen}; {expected}")
 
 
 def _valid(model: type[_Model], raw: object) -> _Model | None:

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 from gvpipe.config import Config, Section
-from gvpipe.configcheck import UNKNOWN_KEY, accepted, check
+from gvpipe.configcheck import Finding, accepted, check
 from gvpipe.core.types import Rejected
 from gvpipe.errors import ConfigError, InputError, UsageError
 from gvpipe.formats.calibration import read_calibration
@@ -60,8 +60,8 @@ def load_config(path: Path, overrides: Sequence[str] = (), out: Path | None = No
         _override(tree, text)
     _fill_cameras(tree, base)
     config, findings = check(tree.data)
-    for key_path, message in findings:
-        tree.report(key_path, message)
+    for finding in findings:
+        tree.report(finding)
     tree.raise_if_wrong()
     assert config is not None  # check gives a configuration or findings
     robots = {
@@ -121,18 +121,18 @@ class _Tree:
     wrong: list[tuple[tuple[int, int, str], KeyPath, str]] = field(default_factory=list)
     unread: set[KeyPath] = field(default_factory=set)
 
-    def origin(self, path: KeyPath, unknown: bool = False) -> tuple[int, int, str]:
-        """Where a value (or an unknown key) stands, or the nearest thing round it."""
-        table = self.key_origins if unknown else self.value_origins
+    def origin(self, path: KeyPath, about_key: bool = False) -> tuple[int, int, str]:
+        """Where a value (or its key) stands, or the key that should hold it."""
+        table = self.key_origins if about_key else self.value_origins
         if path in table:
             return table[path]
         return next(self.key_origins[p] for p in _ancestors(path) if p in self.key_origins)
 
-    def report(self, path: KeyPath, message: str) -> None:
+    def report(self, finding: Finding) -> None:
         """Record a mistake, unless the value there was not even read."""
-        if self.unread.isdisjoint(_ancestors(path)):
-            origin = self.origin(path, unknown=message.startswith(UNKNOWN_KEY))
-            self.wrong.append((origin, path, message))
+        if self.unread.isdisjoint(_ancestors(finding.path)):
+            origin = self.origin(finding.path, finding.about_key)
+            self.wrong.append((origin, finding.path, finding.message))
 
     def report_unread(
         self, path: KeyPath, message: str, origin: tuple[int, int, str] | None = None
@@ -179,7 +179,7 @@ def _read_tree(path: Path) -> _Tree:
         tree.report_unread(problem.path, problem.message, (line, column, f"{name}:{line}:{column}"))
     if document.complete and not isinstance(document.value, dict):
         what = "empty" if document.value is None else "not a mapping"
-        tree.report((), f"is {what}; expected the keys cameras and robots")
+        tree.report(Finding((), f"is {what}; expected the keys cameras and robots"))
     if not document.complete or not isinstance(document.value, dict):
         tree.raise_if_wrong()
     return tree

@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.config import AUTO_TILT_DEG, CameraConfig, Config, OverrideConfig, RobotConfig
-from gvpipe.configcheck import nearest
 from gvpipe.core.types import Camera, Mount, Pose, View
 from gvpipe.errors import ConfigError, InputError
 from gvpipe.examine import FoundImage, examine
 from gvpipe.filelist import list_files
-from gvpipe.formats.tum import read_tum
 from gvpipe.formats.files import file_sha256
-from gvpipe.names import escape
+from gvpipe.formats.tum import read_tum
+from gvpipe.names import escape, nearest
 from gvpipe.pixels import PixelSource, PixelStore, inside_photograph
 
 

@@ -1,7 +1,9 @@
 """Names of files and images: natural order, and a printable, reversible spelling."""
 
+import difflib
 import re
 import unicodedata
+from collections.abc import Iterable
 
 # Invisible characters that reorder or break the text around them; the categories Cc, Cs, Zl, Zp
 # (controls, undecodable bytes, separators) are escaped too.
@@ -52,3 +54,9 @@ def unescape(name: str) -> str:
         rb"%([0-9A-Fa-f]{2})", lambda m: bytes([int(m[1], 16)]), name.encode("utf-8", "replace")
     )
     return raw.decode("utf-8", "surrogateescape")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`` (did you mean X?)`` if a known name is near, else nothing."""
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f" (did you mean {near[0]}?)" if near else ""
