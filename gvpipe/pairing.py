@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.config import Config
-from gvpipe.core.features import Features
-from gvpipe.core.matching import MatchOptions, extract, match_views
+from gvpipe.core.features import Features, MatchOptions
+from gvpipe.core.matching import extract, match_views
 from gvpipe.core.types import PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.parallel import Crashed, Workers

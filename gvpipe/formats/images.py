@@ -31,7 +31,7 @@ IMAGE_EXTENSIONS = frozenset(
 )
 """Endings under which a file counts as an image, even if it turns out to be a bad one."""
 
-_FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "BMP", "WEBP", "PPM")
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "PPM")
 _WIDE_MODES = frozenset({"F", "I", "LAB"})  # TIFF pixels that OpenCV misreads or refuses
 _ORIENTATION_TAG = 274
 _HEADER_LOCK = threading.Lock()  # warning filters are one for all threads

@@ -1,12 +1,14 @@
 """All robots on one metric map; trajectories and the location graph."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from gvpipe.config import Config
-from gvpipe.core.location_graph import Link, MapOptions, MapResult, build_map
+from gvpipe.core.links import Link
+from gvpipe.core.location_graph import MapOptions, MapResult, build_map
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
 from gvpipe.core.types import Float, Pose
 from gvpipe.dataset import Dataset, ImageEntry
@@ -95,7 +97,7 @@ def _matched(context: Context) -> Iterator[Link]:
     following = {
         (a.image_id, b.image_id)
         for robot in context.dataset.robots.values()
-        for a, b in zip(robot, robot[1:], strict=False)
+        for a, b in pairwise(robot)
     }
     for k, row in enumerate(match.body.pairs):
         if row.H is None:
