@@ -6,9 +6,10 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from gvpipe import __version__
 from gvpipe.errors import GvpipeError, UsageError
@@ -62,6 +63,29 @@ Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")]
 LogJson = Annotated[bool, typer.Option("--log-json", help="Log as JSON lines on standard error.")]
 
 
+READS = {
+    "match": ("match",),
+    "localize": (),
+    "overlap": ("overlap", "match"),
+    "slam": ("slam",),
+    "mosaic": ("mosaic",),
+    "reconstruct": ("reconstruct",),
+}
+"""Configuration sections whose keys a command's help lists; all read cameras and robots too."""
+
+
+class StageCommand(TyperCommand):
+    """A command of the chain; its help ends with the configuration keys it reads."""
+
+    def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
+        """Print the usual help, then keys, defaults and units."""
+        super().format_help(ctx, formatter)
+        from gvpipe.report import section_help
+
+        for section in READS[self.name or ""]:
+            section_help(section)
+
+
 def _version(show: bool) -> None:
     if show:
         typer.echo(f"gvpipe {__version__}")
@@ -104,9 +128,8 @@ def _stage_command(name: str) -> Callable[..., None]:
 
 
 for _name, _help in COMMANDS.items():
-    app.command(_name, help=_help, epilog=f"Example: gvpipe {_name} configs/example.yaml --jobs 2")(
-        _stage_command(_name)
-    )
+    _example = f"Example: gvpipe {_name} configs/example.yaml --jobs 2"
+    app.command(_name, cls=StageCommand, help=_help, epilog=_example)(_stage_command(_name))
 
 
 @config_app.command("show", epilog="Example: gvpipe config show configs/example.yaml")

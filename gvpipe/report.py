@@ -137,3 +137,18 @@ class _BarTicker(Ticker):
     def advance(self, steps: int = 1) -> None:
         """Move the bar by `steps`."""
         self._move(steps)
+
+
+def section_help(section: str) -> None:
+    """Print the keys of a configuration section: default, meaning and unit."""
+    from gvpipe.config import Config
+
+    model = type(Config.model_fields[section].default)
+    table = Table(title=f"{section}: in CONFIG, or by --set {section}.KEY=VALUE", box=None)
+    table.title_justify = "left"
+    for heading in ("key", "default", "meaning, unit"):
+        table.add_column(heading, justify="left", overflow="fold")
+    for key, field in model.model_fields.items():
+        shown = "null" if field.default is None else str(field.default).strip("()")
+        table.add_row(Text(key), Text(shown), Text(field.description or ""))
+    Console(highlight=False).print(table)
