@@ -13,9 +13,12 @@ from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
 from gvpipe.core.candidates import Candidate, candidate_pairs
 from gvpipe.core.histogram import BINS, DISTANCES, ground_histogram
+from gvpipe.core.signature import Signature, expected_overlaps, ground_signature
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
+from gvpipe.errors import InputError
 from gvpipe.pairing import match_pairs, options_from
+from gvpipe.parallel import Crashed, Workers
 from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow
 from gvpipe.stages.contract import Context, Outcome
 
@@ -23,6 +26,14 @@ SECTIONS = ("cameras", "robots", "match", "overlap", "seed")
 BODY = OverlapBody
 
 Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What one picture's ground looks like."""
+
+    histogram: Float
+    signature: Signature
 
 
 @dataclass(frozen=True)
@@ -44,13 +55,18 @@ def run(context: Context) -> Outcome[OverlapBody, Arrays]:
     """Rank pairs of pictures by histogram distance, validate the likely ones."""
     config, dataset = context.config, context.dataset
     images = [entry.image_id for entry in dataset.entries]
-    with context.progress("histograms", len(images)) as ticker:
-        rows = []
-        for image in images:
-            rows.append(ground_histogram(dataset.view(image)))
+    looks: dict[str, _Look] = {}
+    with (
+        context.progress("describe", len(images)) as ticker,
+        Workers(dataset, context.jobs) as workers,
+    ):
+        for image, look in zip(images, workers.map(_look, images), strict=True):
+            if isinstance(look, Crashed):
+                raise InputError(f"{image}: the worker process died twice on it")
+            looks[image] = look
             ticker.advance()
-    histograms = np.array(rows).reshape(-1, BINS)
-    meetings = list(_meetings(config, dataset, dict(zip(images, histograms, strict=True))))
+    histograms = np.array([looks[image].histogram for image in images]).reshape(-1, BINS)
+    meetings = list(_meetings(config, dataset, looks))
     pairs = [pair for meeting in meetings for pair in meeting.pairs]
     steps = len({image for pair in pairs for image in pair}) + len(pairs)
     with context.progress("validate", steps) as ticker:
@@ -95,15 +111,25 @@ def write(outcome: Outcome[OverlapBody, Arrays], folder: Path) -> None:
     write_npz(folder / "overlap.npz", outcome.payload)
 
 
-def _meetings(config: Config, dataset: Dataset, histograms: dict[str, Float]) -> Iterator[_Meeting]:
+def _look(dataset: Dataset, image: str) -> _Look:
+    """Describe one picture."""
+    view = dataset.view(image)
+    return _Look(ground_histogram(view), ground_signature(view))
+
+
+def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iterator[_Meeting]:
     """Rank the pictures of every two robots."""
+    settings = config.overlap
     for a, b in combinations(dataset.robots, 2):
         ids_a = [entry.image_id for entry in dataset.robots[a]]
         ids_b = [entry.image_id for entry in dataset.robots[b]]
-        of_a = np.array([histograms[i] for i in ids_a]).reshape(-1, BINS)
-        of_b = np.array([histograms[i] for i in ids_b]).reshape(-1, BINS)
+        of_a = np.array([looks[i].histogram for i in ids_a]).reshape(-1, BINS)
+        of_b = np.array([looks[i].histogram for i in ids_b]).reshape(-1, BINS)
         distances = {name: distance(of_a, of_b) for name, distance in DISTANCES.items()}
-        candidates = candidate_pairs(distances[config.overlap.distance], config.overlap.threshold)
+        expected = expected_overlaps(
+            [looks[i].signature for i in ids_a], [looks[i].signature for i in ids_b]
+        )
+        candidates = candidate_pairs(distances[settings.distance], settings.threshold, expected)
         pairs = [(ids_a[c.i], ids_b[c.j]) for c in candidates]
         yield _Meeting((a, b), dict(distances), candidates, pairs)
 

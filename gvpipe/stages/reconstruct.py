@@ -1,6 +1,6 @@
 """The obstacles in 3D, from silhouettes against the mosaic and from consistent colours."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config, ReconstructConfig
 from gvpipe.core.background import GroundModel
+from gvpipe.core.carving import level_set_of, space_carving, visual_hull, voxel_coloring
 from gvpipe.core.evidence import Region, data_terms, find_regions
 from gvpipe.core.grid import VoxelGrid
 from gvpipe.core.levelset import Evolution, evolve
@@ -26,6 +27,10 @@ from gvpipe.stages.contract import Context, Outcome, posed_views
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "mosaic", "reconstruct", "seed")
 BODY = ReconstructBody
+
+Method = Callable[
+    [VoxelGrid, Sequence[PosedView], Sequence[Silhouette], ReconstructConfig], Evolution
+]
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,9 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     volumes = []
     with context.progress("reconstruct", len(regions)) as ticker:
         for region in regions:
-            volumes.append(_recover(region, views, shapes, settings, options))
+            grid = _grid(region, views, settings.grid)
+            evolution = METHODS[settings.method](grid, views, shapes, settings)
+            volumes.append(Volume(grid, evolution))
             ticker.advance()
     found = [o for v in volumes for o in find_obstacles(v.evolution.u, v.grid)]
     found.sort(key=lambda obstacle: -obstacle.volume_m3)
@@ -145,19 +152,17 @@ def _grid(region: Region, views: Sequence[PosedView], cells: tuple[int, int, int
     return VoxelGrid(origin, np.full(3, spacing), (int(shape[0]), int(shape[1]), int(shape[2])))
 
 
-def _recover(
-    region: Region,
+def _level_set(
+    grid: VoxelGrid,
     views: Sequence[PosedView],
     shapes: Sequence[Silhouette],
     settings: ReconstructConfig,
-    options: EvidenceOptions,
-) -> Volume:
-    """Evolve a box that fills the region down to the surface."""
-    grid = _grid(region, views, settings.grid)
-    f, g = data_terms(views, shapes, grid, options)
+) -> Evolution:
+    """Evolve a box that fills the region down to the surface (thesis 5.6)."""
+    f, g = data_terms(views, shapes, grid, EvidenceOptions())
     start = np.full(grid.shape, -1.0, np.float32)
     start[2:-2, 2:-2, :-2] = 1.0
-    evolution = evolve(
+    return evolve(
         start,
         f,
         g * float(grid.spacing[0]),
@@ -165,7 +170,30 @@ def _recover(
         iterations=settings.iterations,
         evolution=settings.evolution,
     )
-    return Volume(grid, evolution)
+
+
+def _carved(carve: Callable[..., NDArray[np.bool_]]) -> Method:
+    """Make a method of a carving function: it has no energy and no iterations."""
+
+    def method(
+        grid: VoxelGrid,
+        views: Sequence[PosedView],
+        shapes: Sequence[Silhouette],
+        settings: ReconstructConfig,
+    ) -> Evolution:
+        u = level_set_of(carve(views, shapes, grid), grid)
+        return Evolution(u, energy=[], iterations=0, converged=True)
+
+    return method
+
+
+METHODS: dict[str, Method] = {
+    "level-set": _level_set,
+    "visual-hull": _carved(visual_hull),
+    "voxel-coloring": _carved(voxel_coloring),
+    "space-carving": _carved(space_carving),
+}
+"""By name in the configuration: grid, views, silhouettes and settings to a volume."""
 
 
 def _total_energy(evolutions: Sequence[Evolution]) -> tuple[tuple[int, float], ...]:
