@@ -96,12 +96,6 @@ class Dataset:
             robots.setdefault(entry.robot, []).append(entry)
         return {name: tuple(entries) for name, entries in robots.items()}
 
-    @property
-    def inputs(self) -> dict[str, str]:
-        """SHA-256 of all that was read: by image id, and ``robot (poses)`` for pose files."""
-        poses = {f"{robot} (poses)": digest for robot, digest in self.pose_files.items()}
-        return {entry.image_id: entry.sha256 for entry in self.entries} | poses
-
     def entry(self, image_id: str) -> ImageEntry:
         """Look a usable image up; KeyError if there is none of that id."""
         return self._by_id[image_id]

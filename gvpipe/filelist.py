@@ -36,7 +36,7 @@ def list_files(path: Path) -> tuple[Path, ...]:
             found = [child for child in _children(path) if not child.is_dir()]
         elif os.path.lexists(path):
             return (path,)
-        elif _MAGIC.isdisjoint(str(path)):
+        elif not _is_glob(path):
             raise InputError(f"{escape(str(path))}: no such file or folder")
         else:
             root = Path(path.anchor or ".")
@@ -45,6 +45,15 @@ def list_files(path: Path) -> tuple[Path, ...]:
     except OSError as error:
         raise InputError(f"{escape(str(path))}: cannot be read: {error.strerror}") from error
     return tuple(sorted(found, key=lambda p: (natural_key(p.name), natural_key(str(p)))))
+
+
+def _is_glob(path: Path) -> bool:
+    """Whether the part of a path that does not exist holds glob characters."""
+    parts = []
+    while not os.path.lexists(path) and path.name:
+        parts.append(path.name)
+        path = path.parent
+    return not _MAGIC.isdisjoint("".join(parts))
 
 
 def _children(folder: Path) -> list[Path]:

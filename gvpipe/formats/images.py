@@ -131,7 +131,7 @@ def _read_header(raw: bytes, max_pixels: int) -> _Header | Rejected:
             return Rejected(f"is larger than {max_pixels / 1e6:g} Mpx")
         except Exception:  # a parser of hostile bytes may raise anything
             return Rejected("is not a sound JPEG, PNG, TIFF, BMP, WebP or PNM file")
-        kind = "JPEG" if image.format == "MPO" else str(image.format)
+        kind = "JPEG" if image.format == "MPO" else str(image.format)  # JPEGs in a row
         width, height = image.size
         orientation = _orientation(image)
     if width * height > max_pixels:
