@@ -136,6 +136,7 @@ MISTAKES = {
     "control character": (MINIMAL + "slam: {a: \x01}\n", "5:11: character U+0001 is not allowed"),
     "not utf-8": (MINIMAL.encode() + b"output: \xff\n", "5:9: byte 0xff is not UTF-8"),
     "depth": (MINIMAL + "slam: " + "[" * 5000, f"nested deeper than {MAX_DEPTH} levels"),
+    "values": (MINIMAL + "slam: [" + "1," * 40000, "more than 30000 keys and values"),
     "not a mapping": ("- 1\n", "1:1: is not a mapping; expected the keys cameras and robots"),
     "empty": ("", "1:1: is empty; expected the keys cameras and robots"),
     "key is a list": ("? [a]\n: 1\n", "1:3: a key is a list or a mapping; expected text"),

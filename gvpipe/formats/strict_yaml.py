@@ -18,6 +18,9 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 """Deepest nesting accepted; a configuration needs six levels."""
 
+MAX_VALUES = 30_000
+"""Most keys and values accepted: two seconds of reading; a list of pairs may be long."""
+
 KeyPath = tuple[str | int, ...]
 """Keys and list positions from the root to a value."""
 
@@ -143,6 +146,7 @@ class _Builder:
         self._tags = tags
         self._levels: list[_Level] = []
         self._documents = 0
+        self._values = 0
 
     def problem(self, mark: object, message: str, path: KeyPath | None = None) -> None:
         """Record a mistake at a PyYAML mark."""
@@ -151,6 +155,10 @@ class _Builder:
 
     def take(self, event: yaml.Event) -> bool:
         """Add one event; False if reading on is pointless."""
+        self._values += isinstance(event, yaml.NodeEvent)
+        if self._values > MAX_VALUES:
+            self.problem(event.start_mark, f"more than {MAX_VALUES} keys and values", ())
+            return False
         if isinstance(event, yaml.DocumentStartEvent):
             self._documents += 1
             if self._documents > 1:
