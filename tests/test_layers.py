@@ -11,12 +11,14 @@ PACKAGE = Path(gvpipe.__file__).parent
 
 LAYERS: list[set[str]] = [
     {"gvpipe", "gvpipe.errors", "gvpipe.core"},
-    {"gvpipe.names", "gvpipe.formats"},
-    {"gvpipe.parallel", "gvpipe.records", "gvpipe.config", "gvpipe.report"},
+    {"gvpipe.names"},
+    {"gvpipe.formats"},
+    {"gvpipe.parallel", "gvpipe.records", "gvpipe.config"},
+    {"gvpipe.configcheck", "gvpipe.filelist", "gvpipe.examine", "gvpipe.pixels"},
     {"gvpipe.configfile", "gvpipe.artefacts"},
     {"gvpipe.dataset"},
     {"gvpipe.pairing"},
-    {"gvpipe.stages"},
+    {"gvpipe.stages", "gvpipe.report"},
     {"gvpipe.runner"},
     {"gvpipe.cli"},
     {"gvpipe.__main__"},

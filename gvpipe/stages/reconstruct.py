@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
+import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -132,11 +132,13 @@ def _ground(context: Context) -> GroundModel:
     """Read the mosaic as the model of the bare ground."""
     mosaic = context.artefact(MosaicBody)
     path = mosaic.folder / "mosaic.png"
-    picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None or picture.shape != (mosaic.body.height, mosaic.body.width, 4):
+    try:
+        rgba = iio.imread(path.read_bytes(), extension=".png")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a picture: {error}") from None
+    if rgba.shape != (mosaic.body.height, mosaic.body.width, 4):
         raise InputError(f"{path}: not the picture that mosaic.json describes")
-    rgba = cv2.cvtColor(picture, cv2.COLOR_BGRA2RGBA).astype(np.uint8)
-    return GroundModel(rgba, mosaic.body.map_from_pixel)
+    return GroundModel(rgba.astype(np.uint8), mosaic.body.map_from_pixel)
 
 
 def _grid(region: Region, views: Sequence[PosedView], cells: tuple[int, int, int]) -> VoxelGrid:
