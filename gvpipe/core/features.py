@@ -1,6 +1,6 @@
 """What is kept of one image for matching, and where its overhead view is sampled."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,18 @@ class MatchOptions:
         Error to expect of the ratio of two configured heights, natural logarithm.
     max_tilt_error : float
         Tilts and rolls farther than this from the configured ones belong to another plane, radians.
+    min_log10_odds : float
+        Decimal exponent of the odds against chance that an accepted homography needs.
+    max_uncertainty_px : float
+        Largest standard deviation of an accepted homography over the common ground.
     max_range : float
         Ground farther than this many camera heights is not used.
+    keypoints : int
+        Most keypoints an image (``sift``).
+    max_ratio : float
+        Largest descriptor distance of a match over that of the runner-up.
+    hypotheses : int
+        Random pairs of matches drawn for each assumed tilt.
     corners : int
         Most Harris corners an image (``invariants``).
     corner_distance_px : float
@@ -47,7 +57,12 @@ class MatchOptions:
     roll_sigma: float = np.radians(3.0)
     height_sigma: float = 0.03
     max_tilt_error: float = np.radians(14.0)
+    min_log10_odds: float = 4.0
+    max_uncertainty_px: float = 2.0
     max_range: float = 5.0
+    keypoints: int = 2000
+    max_ratio: float = 0.85
+    hypotheses: int = 2000
     corners: int = 500
     corner_distance_px: float = 5.0
     smoothing_px: float = 1.5
@@ -74,6 +89,9 @@ class Features:
         What they look like.
     pixels_per_metre : float
         Scale of the overhead view they were described on.
+    angle, size : (N,) float64
+        Orientation on the ground, radians from forward to left, and diameter, metres; empty where
+        the method has none.
     """
 
     kind: str
@@ -81,6 +99,8 @@ class Features:
     ground: Float
     descriptors: NDArray[np.generic]
     pixels_per_metre: float
+    angle: Float = field(default_factory=lambda: np.empty(0))
+    size: Float = field(default_factory=lambda: np.empty(0))
 
 
 def overhead_scale(camera: Camera, mount: Mount) -> float:

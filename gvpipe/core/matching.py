@@ -10,10 +10,11 @@ from gvpipe.core.guided import WINDOWS_PX, Guided, guided_match
 from gvpipe.core.homography import transfer_errors
 from gvpipe.core.invariants import extract_invariants
 from gvpipe.core.isometry import find_isometry
+from gvpipe.core.overhead_matching import match_sift
+from gvpipe.core.sift import extract_sift
 from gvpipe.core.twoview import PairPrior, TwoView, two_views
 from gvpipe.core.types import PairMatch, Rejected, View
 
-_MIN_LOG10_ODDS = 3.0  # a thousand to one that chance does not explain the inliers
 _LOG10_TESTS = 9.0  # isometries a pair can try, and the freedom of the refinement after them
 
 
@@ -83,7 +84,9 @@ def match_invariants(
             **counts,
         )
     expected = two_views(view_i, view_j)
-    prior = PairPrior(options.tilt_sigma, options.roll_sigma, options.height_sigma)
+    prior = PairPrior(
+        options.tilt_sigma, options.tilt_sigma, options.roll_sigma, options.height_sigma
+    )
     gate = options.min_colour
     best: tuple[int, TwoView, Guided] | None = None
     for _, *motion in found.fits:
@@ -101,10 +104,10 @@ def match_invariants(
     similar = float((found.distance < gate).mean())
     chance = min(len(features_j.pixels) * square / area * similar, 0.99)
     odds = -(_LOG10_TESTS + binom.logsf(inliers - 1, guided.offered, chance) / np.log(10.0))
-    if not odds > _MIN_LOG10_ODDS:
+    if not odds > options.min_log10_odds:
         return Rejected(
             f"{inliers} of {guided.offered} corners agree, where {guided.offered * chance:.1f} "
-            f"do by chance: odds 1e{odds:.1f} against chance, 1e{_MIN_LOG10_ODDS:g} needed",
+            f"do by chance: odds 1e{odds:.1f} against chance, 1e{options.min_log10_odds:g} needed",
             inliers=inliers,
             **counts,
         )
@@ -127,7 +130,8 @@ def match_invariants(
         error_px=float(np.sqrt((errors**2).mean())),
         tilt_i=guided.geometry.mount_i.tilt,
         tilt_j=guided.geometry.mount_j.tilt,
-        **counts,
+        candidates=found.candidates,
+        trials=found.trials,
     )
 
 
@@ -136,8 +140,8 @@ Matcher = Callable[
     [View, View, Features, Features, MatchOptions, np.random.Generator], PairMatch | Rejected
 ]
 
-EXTRACTORS: dict[str, Extractor] = {"invariants": extract_invariants}
+EXTRACTORS: dict[str, Extractor] = {"sift": extract_sift, "invariants": extract_invariants}
 """How the features of one image are made, by the name in the configuration."""
 
-MATCHERS: dict[str, Matcher] = {"invariants": match_invariants}
+MATCHERS: dict[str, Matcher] = {"sift": match_sift, "invariants": match_invariants}
 """How a pair is matched from them; the same keys."""

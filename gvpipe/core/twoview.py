@@ -15,15 +15,22 @@ class PairPrior:
 
     Attributes
     ----------
-    tilt, roll : float
-        Error of the configured tilts and rolls, radians.
+    tilt_i, tilt_j, roll : float
+        Error of the configured tilts and of both rolls, radians.
     log_scale : float
         Error of the ratio of the configured heights, as a natural logarithm.
     """
 
-    tilt: float
+    tilt_i: float
+    tilt_j: float
     roll: float
     log_scale: float
+
+    @property
+    def weights(self) -> Float:
+        """(8,) inverse standard deviations of :attr:`TwoView.parameters`; 0 = unknown."""
+        known = (self.log_scale, self.tilt_i, self.roll, self.tilt_j, self.roll)
+        return np.array([0.0, 0.0, 0.0, *(1.0 / s for s in known)])
 
 
 @dataclass(frozen=True)
@@ -96,8 +103,10 @@ class TwoView:
         return normalise(self.projection)
 
     def drift(self, expected: "TwoView") -> float:
-        """Largest difference of a tilt or roll from the expected one, radians."""
-        return float(np.abs(self.parameters[4:] - expected.parameters[4:]).max())
+        """Largest difference of a roll or a known tilt from the expected one, radians."""
+        off = np.abs(self.parameters[4:] - expected.parameters[4:])
+        i, j = expected.mount_i.tilt_known, expected.mount_j.tilt_known
+        return float((off * np.array([i, True, j, True])).max())
 
 
 def two_views(view_i: View, view_j: View) -> TwoView:
@@ -122,6 +131,20 @@ class PairFit:
     geometry: TwoView
     cost: float
     information: Float
+
+    @property
+    def homography_covariance(self) -> Float:
+        """(9, 9) covariance of the row-major entries of the normalised homography."""
+        theta = self.geometry.parameters
+        step = 1e-6
+        columns = []
+        for k in range(len(theta)):
+            moved = step * (np.arange(len(theta)) == k)
+            up = self.geometry.with_parameters(theta + moved).homography
+            down = self.geometry.with_parameters(theta - moved).homography
+            columns.append((up - down).ravel() / (2 * step))
+        chain = np.column_stack(columns)
+        return np.asarray(chain @ np.linalg.pinv(self.information, hermitian=True) @ chain.T)
 
 
 def fit_two_views(
@@ -160,13 +183,10 @@ def fit_two_views(
     n = len(points_i)
     if whiten is None:
         whiten = np.broadcast_to(np.eye(2), (n, 2, 2))
-    free = 0.0
-    weight = np.array([free, free, free, prior.log_scale, *(prior.tilt, prior.roll) * 2])
-    weight = np.divide(1.0, weight, out=np.zeros(8), where=weight > 0)
     theta, cost, information = fit_pair(
         start.parameters,
         expected.parameters,
-        weight,
+        prior.weights,
         np.linalg.inv(start.camera_i.matrix).astype(np.float64),
         start.camera_j.matrix,
         start.mount_i.height,

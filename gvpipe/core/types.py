@@ -170,6 +170,10 @@ class PairMatch:
         Refined tilts, radians below the horizon.
     candidates, trials : int
         Corner pairs offered and hypotheses tried.
+    probability : float
+        That the homography is the ground's within three pixels, from the evidence of the pair.
+    covariance : (9, 9) float64 or None
+        Of the row-major entries of `homography` (rank 8).
     """
 
     homography: Float
@@ -182,3 +186,5 @@ class PairMatch:
     tilt_j: float
     candidates: int
     trials: int
+    probability: float = 1.0
+    covariance: Float | None = None

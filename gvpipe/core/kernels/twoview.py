@@ -111,10 +111,11 @@ def _normal_equations(
                 a[k, m] += weight * (row[0, k] * row[0, m] + row[1, k] * row[1, m])
     for k in range(PARAMETERS):
         r = (theta[k] - prior[k]) * prior_weight[k]
-        # Cauchy: a hint far off loses its pull instead of bending the plane
-        cost += 0.5 * np.log1p(r * r)
-        b[k] += prior_weight[k] * r / (1.0 + r * r)
-        a[k, k] += prior_weight[k] * prior_weight[k] / (1.0 + r * r)
+        # soft L1: a hint far off loses its pull instead of bending the plane
+        root = np.sqrt(1.0 + r * r)
+        cost += root - 1.0
+        b[k] += prior_weight[k] * r / root
+        a[k, k] += prior_weight[k] * prior_weight[k] / root
         for m in range(k):
             a[m, k] = a[k, m]
     return cost, a, b
