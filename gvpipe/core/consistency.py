@@ -1,11 +1,11 @@
-"""Which links agree with each other: rough placement of all images by graduated robust fitting."""
+"""Which links agree with each other: rough placement by vote, then by least squares."""
 
-from dataclasses import dataclass
+import heapq
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.sparse.linalg import splu
 
 from gvpipe.core.types import Float
@@ -16,8 +16,17 @@ Mask = NDArray[np.bool_]
 CUT = 3.0
 """A link is cut where its two images place the shared ground this many tolerances apart."""
 
-RELAXATION = 1.4
-"""Factor of the non-convexity parameter from round to round (Yang et al. 2020)."""
+WIDE = 10.0
+"""Times that limit which images may be off before drift has been spread over the loops."""
+
+TIGHTENING = 1.5
+"""Factor from round to round by which the limit shrinks from wide to final."""
+
+DOUBT = 1.0
+"""Triangles, half of them open, added to those seen: few triangles prove little."""
+
+TRIANGLES = 8
+"""Triangles looked at per link, at most."""
 
 SETTLED_M = 1e-6
 """Gauss-Newton stops when no image moves by more than this, metres or radians."""
@@ -94,8 +103,78 @@ def disagreements(links: Placements, planar: Float) -> Float:
     return np.column_stack([apart, turn])
 
 
-def spread_along_tree(links: Placements, count: int) -> tuple[Float, Index]:
-    """Place every image along the tree of the most trusted links, breadth first.
+def supported(links: Placements) -> Float:
+    """Share of the triangles around each link that close.
+
+    Parameters
+    ----------
+    links : Placements
+        E links.
+
+    Returns
+    -------
+    support : (E,) float64
+        In (0, 1); one half for a link that is part of no triangle.
+
+    Notes
+    -----
+    A wrong link opens every triangle it is part of, a right one only those it shares with a wrong
+    one; so this finds most wrong links before anything is placed.
+    """
+    count = len(links.i)
+    triangles = _triangles(links)
+    if not len(triangles):
+        return np.full(count, 0.5)
+    ab, ac, bc = triangles.T
+    a = np.where(
+        (links.i[ab] == links.i[ac]) | (links.i[ab] == links.j[ac]), links.i[ab], links.j[ab]
+    )
+    b = links.i[ab] + links.j[ab] - a
+    origin = np.zeros((len(a), 3))
+    apart = _between(links, bc, _carried(links, ab, a, origin), _carried(links, ac, a, origin), b)
+    allowed = CUT**2 * (links.tolerance[triangles] ** 2).sum(axis=1)
+    closes = (apart**2).sum(axis=1) <= allowed
+    total = np.bincount(triangles.ravel(), minlength=count)
+    good = np.bincount(triangles.ravel(), np.repeat(closes, 3).astype(float), minlength=count)
+    return np.asarray((good + 0.5 * DOUBT) / (total + DOUBT))
+
+
+def _triangles(links: Placements) -> Index:
+    """Triples (T, 3) of links that form triangles, a few for each link."""
+    of_pair: dict[tuple[int, int], int] = {}
+    neighbours: dict[int, set[int]] = {}
+    for k, (i, j) in enumerate(zip(links.i.tolist(), links.j.tolist(), strict=True)):
+        of_pair.setdefault((min(i, j), max(i, j)), k)
+        neighbours.setdefault(i, set()).add(j)
+        neighbours.setdefault(j, set()).add(i)
+    out = []
+    for (i, j), k in of_pair.items():
+        for c in sorted(neighbours[i] & neighbours[j])[:TRIANGLES]:
+            out.append((k, of_pair[min(i, c), max(i, c)], of_pair[min(j, c), max(j, c)]))
+    return np.array(out, dtype=np.int64).reshape(-1, 3)
+
+
+def _carried(links: Placements, k: Index, known: Index, planar: Float) -> Float:
+    """Poses (T, 3) at the other ends of links k, from those at the `known` ends."""
+    forward = links.i[k] == known
+    here = np.where(forward[:, None], links.centre_i[k], links.centre_j[k])
+    there = np.where(forward[:, None], links.centre_j[k], links.centre_i[k])
+    heading = planar[:, 2] + np.where(forward, -links.turn[k], links.turn[k])
+    at = planar[:, :2] + _turned(planar[:, 2], here) - _turned(heading, there)
+    return np.column_stack([at, _wrapped(heading)])
+
+
+def _between(links: Placements, k: Index, at_b: Float, at_c: Float, b: Index) -> Float:
+    """Disagreements (T, 3) of links k between poses at their ends b and at their other ends."""
+    forward = (links.i[k] == b)[:, None]
+    both = np.concatenate([np.where(forward, at_b, at_c), np.where(forward, at_c, at_b)])
+    count = len(k)
+    picked = replace(links.pick(k), i=np.arange(count), j=count + np.arange(count))
+    return disagreements(picked, both)
+
+
+def grow(links: Placements, count: int) -> tuple[Float, Index]:
+    """Place the images one by one, each where most of its links to placed images want it.
 
     Parameters
     ----------
@@ -111,39 +190,52 @@ def spread_along_tree(links: Placements, count: int) -> tuple[Float, Index]:
     component : (N,) int64
         Connected part of each image.
     """
-    cost = 1.0 / links.trust
-    # parallel links: keep the most trusted one (a sparse matrix would add them up)
-    order = np.lexsort((cost, links.j, links.i))
-    ends = np.column_stack([links.i, links.j])[order]
-    fresh = np.any(np.diff(ends, axis=0, prepend=-1) != 0, axis=1)
-    chosen = order[fresh]
-    graph = coo_matrix((cost[chosen], (links.i[chosen], links.j[chosen])), (count, count))
-    tree = minimum_spanning_tree(graph.tocsr())
-    of_pair = {(int(links.i[k]), int(links.j[k])): int(k) for k in chosen}
-    parts, component = connected_components(tree, directed=False)
-    planar = np.zeros((count, 3))
-    for part in range(parts):
-        root = int(np.argmax(component == part))
-        sequence, parent = breadth_first_order(tree, root, directed=False)
-        for child in sequence[1:]:
-            planar[child] = _placed(links, of_pair, planar, int(parent[child]), int(child))
-    return planar, component.astype(np.int64)
+    at = [[] for _ in range(count)]
+    for k, (i, j) in enumerate(zip(links.i.tolist(), links.j.tolist(), strict=True)):
+        at[i].append(k)
+        at[j].append(k)
+    planar, component = np.zeros((count, 3)), np.full(count, -1, dtype=np.int64)
+    wanted: list[list[tuple[int, Float]]] = [[] for _ in range(count)]
+    part = 0
+    for root in range(count):
+        if component[root] >= 0:
+            continue
+        queue: list[tuple[float, int, int]] = [(0.0, root, 0)]
+        best = {root: planar[root]}
+        while queue:
+            _, image, votes = heapq.heappop(queue)
+            if component[image] >= 0 or votes != len(wanted[image]):
+                continue
+            planar[image], component[image] = best[image], part
+            for k in at[image]:
+                other = int(links.i[k] + links.j[k]) - image
+                if component[other] >= 0:
+                    continue
+                one = np.array([k])
+                pose = _carried(links, one, np.array([image]), planar[image][None])[0]
+                wanted[other].append((k, pose))
+                trust, best[other] = _vote(links, planar, other, wanted[other])
+                heapq.heappush(queue, (-trust, other, len(wanted[other])))
+        part += 1
+    return planar, component
 
 
-def _placed(
-    links: Placements, of_pair: dict[tuple[int, int], int], planar: Float, parent: int, child: int
-) -> Float:
-    """Pose (3,) of a child from its parent's."""
-    forward = (parent, child) in of_pair
-    k = of_pair[parent, child] if forward else of_pair[child, parent]
-    here, there = (
-        (links.centre_i[k], links.centre_j[k])
-        if forward
-        else (links.centre_j[k], links.centre_i[k])
-    )
-    heading = planar[parent, 2] + (-links.turn[k] if forward else links.turn[k])
-    at = planar[parent, :2] + _turned(planar[parent, 2:], here[None])[0]
-    return np.append(at - _turned(np.array([heading]), there[None])[0], _wrapped(heading))
+def _vote(
+    links: Placements, planar: Float, image: int, wanted: list[tuple[int, Float]]
+) -> tuple[float, Float]:
+    """Pose that the most trusted of an image's links agree on, and that trust."""
+    k = np.array([link for link, _ in wanted])
+    poses = np.array([pose for _, pose in wanted])
+    others = links.i[k] + links.j[k] - image
+    best_trust, best = -1.0, poses[0]
+    for pose in poses:
+        here = np.broadcast_to(pose, poses.shape)
+        apart = _between(links, k, here, planar[others], np.full(len(k), image))
+        agrees = (apart**2).sum(axis=1) <= (WIDE * CUT * links.tolerance[k]) ** 2
+        trust = float(links.trust[k[agrees]].sum())
+        if trust > best_trust:
+            best_trust, best = trust, pose
+    return best_trust, best
 
 
 def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: int) -> Float:
@@ -212,24 +304,24 @@ def agree(links: Placements, count: int) -> tuple[Float, Mask]:
 
     Notes
     -----
-    Graduated non-convexity with the truncated least squares loss (Yang, Antonante, Tzoumas and
-    Carlone, 2020): from plain least squares the loss is bent step by step until every link counts
-    either fully or not at all.
+    The images are first placed by vote, then settled by least squares with the links that are
+    not too far off, while the limit tightens: the drift of long chains has to spread out before
+    the links that close their loops can be judged.
     """
-    planar, component = spread_along_tree(links, count)
+    links = replace(links, trust=links.trust * supported(links))
+    planar, component = grow(links, count)
     held = np.zeros(count, dtype=bool)
     held[np.unique(component, return_index=True)[1]] = True
-    precision = links.trust / links.tolerance**2
-    planar = _settle(links, planar, precision, held, steps=20)
-    ratio = (disagreements(links, planar) ** 2).sum(axis=1) / (CUT * links.tolerance) ** 2
-    weight = np.ones(len(ratio))
-    worst = float(ratio.max(initial=0.0))
-    bend = 1.0 / (2.0 * worst - 1.0) if worst > 1.0 else np.inf
-    while bend < np.inf:
-        weight = np.clip(np.sqrt(bend * (bend + 1.0) / np.maximum(ratio, 1e-12)) - bend, 0.0, 1.0)
-        planar = _settle(links, planar, precision * weight, held, steps=3)
-        ratio = (disagreements(links, planar) ** 2).sum(axis=1) / (CUT * links.tolerance) ** 2
-        if ((weight < 1e-6) | (weight > 1.0 - 1e-6)).all() or bend > 1e4:
-            break
-        bend *= RELAXATION
-    return planar, ratio <= 1.0
+    limit = WIDE
+    while True:
+        keep = _off(links, planar) <= limit
+        planar = _settle(links, planar, keep * links.trust / links.tolerance**2, held, steps=5)
+        if limit <= 1.0:
+            return planar, _off(links, planar) <= 1.0
+        limit = max(limit / TIGHTENING, 1.0)
+
+
+def _off(links: Placements, planar: Float) -> Float:
+    """Disagreement of each link over what is allowed, (E,)."""
+    apart = np.linalg.norm(disagreements(links, planar), axis=1)
+    return np.asarray(apart / (CUT * links.tolerance))
