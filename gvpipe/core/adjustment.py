@@ -112,19 +112,24 @@ def adjust(
 
 
 def _noise(problem: Problem, state: State) -> tuple[float, float]:
-    """Loss scale, and the noise that makes the weighted normal matrix honest, pixels."""
-    residual_sq = problem.residuals_sq(state)
-    residual_sq = residual_sq[np.isfinite(residual_sq)]
-    # the squared length of a two-dimensional Gaussian has the median 2 ln 2 variances
-    loss_sq = max(CAUCHY**2 * float(np.median(residual_sq)) / (2.0 * np.log(2.0)), 1e-12)
-    ratio = residual_sq / loss_sq
+    """Loss scale, and the noise that makes the weighted normal matrix honest, pixels.
+
+    The latter is Huber's asymptotic variance of a robust estimate: the variance of the weighted
+    residuals over the squared mean curvature of the loss.
+    """
+    misfits = problem.misfits(state)
+    seen = np.diff(problem.tracks.start)
+    freedom = 2.0 * (seen - 1)
+    # the misfit of a point with d degrees of freedom has about this median, in variances
+    middle = freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    loss_sq = max(CAUCHY**2 * float(np.median(misfits / middle)), 1e-12)
+    ratio = misfits / (loss_sq * (seen - 1))
     weight = 1.0 / (1.0 + ratio)
-    # mean curvature of the loss along and across the residual (Huber's asymptotic variance)
-    curvature = float((weight * (1.0 + (1.0 - ratio) * weight)).mean()) / 2.0
-    unknowns = 2 * (len(problem.tracks.start) - 1) + 6 * len(state.cameras)
-    freedom = max(2 * len(residual_sq) - unknowns, 1)
-    variance = float((weight**2 * residual_sq).sum()) / freedom
-    return float(np.sqrt(loss_sq)), float(np.sqrt(variance * weight.mean())) / curvature
+    total = freedom.sum()
+    curvature = float(freedom @ weight - 2.0 * (weight**2 * ratio).sum()) / total
+    left = max(total - 6.0 * len(state.cameras), 1.0)
+    variance = float((weight**2) @ misfits) / left * float(freedom @ weight) / total
+    return float(np.sqrt(loss_sq)), float(np.sqrt(variance)) / curvature
 
 
 def _variances(

@@ -46,9 +46,9 @@ class Problem:
         total = np.add.reduceat(weight, self.tracks.start[:-1])
         return np.add.reduceat(ground * weight[:, None], self.tracks.start[:-1]) / total[:, None]
 
-    def residuals_sq(self, state: State) -> Float:
-        """Squared reprojection errors, (M,) squared pixels; infinite behind a camera."""
-        out = np.empty(len(self.tracks.camera))
+    def misfits(self, state: State) -> Float:
+        """Sum of the squared reprojection errors of each point, (T,) squared pixels."""
+        out = np.empty(len(state.points))
         self._robust_cost(state, 1.0, out)
         return out
 
@@ -67,8 +67,7 @@ class Problem:
 
     def cost(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> float:
         """Robust data cost over the noise variance, plus the priors."""
-        out = np.empty(len(self.tracks.camera))
-        data = self._robust_cost(state, loss_px, out) / noise_px**2
+        data = self._robust_cost(state, loss_px, np.empty(len(state.points))) / noise_px**2
         return float(data + prior_cost(self.rig, state, spread))
 
     def minimise(

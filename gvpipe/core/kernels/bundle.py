@@ -16,6 +16,34 @@ BEHIND_PX2 = 1e8
 
 
 @kernel
+def misfit(
+    projection: Float,
+    centre: Float,
+    camera: Index,
+    pixel: Float,
+    start: Index,
+    points: Float,
+    track: int,
+) -> float:
+    """Sum of the squared residuals of one point, squared pixels; arguments as in `evaluate`."""
+    total = 0.0
+    for k in range(start[track], start[track + 1]):
+        i = camera[k]
+        g = projection[i]
+        dx = points[track, 0] - centre[i, 0]
+        dy = points[track, 1] - centre[i, 1]
+        dz = -centre[i, 2]
+        w = g[2, 0] * dx + g[2, 1] * dy + g[2, 2] * dz
+        if w < MIN_DEPTH:
+            total += BEHIND_PX2
+        else:
+            u = (g[0, 0] * dx + g[0, 1] * dy + g[0, 2] * dz) / w - pixel[k, 0]
+            v = (g[1, 0] * dx + g[1, 1] * dy + g[1, 2] * dz) / w - pixel[k, 1]
+            total += u * u + v * v
+    return total
+
+
+@kernel
 def evaluate(
     projection: Float,
     centre: Float,
@@ -24,9 +52,9 @@ def evaluate(
     start: Index,
     points: Float,
     loss_px: float,
-    residual_sq: Float,
+    misfits: Float,
 ) -> float:
-    """Robust cost of all observations; their squared residuals go into `residual_sq`.
+    """Robust cost of all points; their sums of squared residuals go into `misfits`.
 
     Parameters
     ----------
@@ -43,32 +71,26 @@ def evaluate(
     points : (T, 2) float64
         Ground points in the map, metres.
     loss_px : float
-        Scale c of the Cauchy loss ``c^2 log(1 + r^2 / c^2)``, pixels.
-    residual_sq : (M,) float64
-        Output, squared pixels; ``BEHIND_PX2`` for points behind their camera.
+        Scale c of the Cauchy loss ``k log(1 + e / k)`` of the misfit e of a point seen n times,
+        ``k = (n - 1) c^2``, pixels.
+    misfits : (T,) float64
+        Output, squared pixels.
 
     Returns
     -------
     cost : float
         Sum of the losses, squared pixels.
+
+    Notes
+    -----
+    The loss acts on points, not on single observations: two residuals of a point seen twice share
+    one discrepancy, and a loss on each would favour to put all of it on one side.
     """
     cost = 0.0
-    c2 = loss_px * loss_px
     for t in range(len(start) - 1):
-        for k in range(start[t], start[t + 1]):
-            i = camera[k]
-            g = projection[i]
-            dx = points[t, 0] - centre[i, 0]
-            dy = points[t, 1] - centre[i, 1]
-            dz = -centre[i, 2]
-            w = g[2, 0] * dx + g[2, 1] * dy + g[2, 2] * dz
-            if w < MIN_DEPTH:
-                residual_sq[k] = BEHIND_PX2
-            else:
-                u = (g[0, 0] * dx + g[0, 1] * dy + g[0, 2] * dz) / w - pixel[k, 0]
-                v = (g[1, 0] * dx + g[1, 1] * dy + g[1, 2] * dz) / w - pixel[k, 1]
-                residual_sq[k] = u * u + v * v
-            cost += c2 * np.log1p(residual_sq[k] / c2)
+        misfits[t] = misfit(projection, centre, camera, pixel, start, points, t)
+        bound = loss_px * loss_px * (start[t + 1] - start[t] - 1)
+        cost += bound * np.log1p(misfits[t] / bound)
     return cost
 
 
@@ -118,10 +140,12 @@ def linearise(
     jc = np.zeros((longest, 2, 6))
     jp = np.zeros((2, 2))
     reduced = np.zeros((6, 2))
-    c2 = loss_px * loss_px
     pair = 0
     for t in range(len(start) - 1):
         first, count = start[t], start[t + 1] - start[t]
+        bound = loss_px * loss_px * (count - 1)
+        total = misfit(projection, centre, camera, pixel, start, points, t)
+        track_weight = 1.0 / (1.0 + total / bound)
         v00, v01, v11 = 0.0, 0.0, 0.0
         g0, g1 = 0.0, 0.0
         pair_first = pair
@@ -137,7 +161,7 @@ def linearise(
             y2 = max(y2, MIN_DEPTH)
             u, v = y0 / y2, y1 / y2
             r0, r1 = u - pixel[k, 0], v - pixel[k, 1]
-            weight = 1.0 / (1.0 + (r0 * r0 + r1 * r1) / c2) if seen else 0.0
+            weight = track_weight if seen else 0.0
             for q in range(2):
                 jp[0, q] = (g[0, q] - u * g[2, q]) / y2
                 jp[1, q] = (g[1, q] - v * g[2, q]) / y2
