@@ -67,7 +67,7 @@ READS = {
     "match": ("match",),
     "localize": (),
     "overlap": ("overlap", "match"),
-    "slam": ("slam",),
+    "slam": ("slam", "match"),
     "mosaic": ("mosaic",),
     "reconstruct": ("reconstruct",),
 }

@@ -123,6 +123,7 @@ class SlamConfig(Section):
     """The joint map."""
 
     reference: str | None = Field(None, description="image whose robot frame is the map; null = first image of the first robot")
+    loops: bool = Field(True, description="look for more pairs where the map shows common ground")
 
 
 class MosaicConfig(Section):

@@ -1,18 +1,20 @@
 """All robots on one metric map; trajectories and the location graph."""
 
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from gvpipe.config import Config
-from gvpipe.core.links import Link
+from gvpipe.core.links import Link, link_kind
 from gvpipe.core.location_graph import MapOptions, MapResult, build_map
+from gvpipe.core.loops import gap_candidates, loop_candidates
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
-from gvpipe.core.types import Float, Pose
+from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
+from gvpipe.formats.location_graph import GraphEdge, GraphNode, draw
 from gvpipe.formats.tum import format_tum
+from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import (
     Body,
     ClosingRow,
@@ -28,6 +30,18 @@ from gvpipe.stages.contract import Context, Outcome
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
+
+LOOP_ROUNDS = 2
+"""Searches for more links: the second sees the map that the first one's loops have mended."""
+
+LOOPS_PER_IMAGE = 6
+"""New links tried an image and round: more hardly add to the accuracy, and each costs a match."""
+
+MIN_SHARED_GROUND = 0.25
+"""Share of its ground a picture must have in common with another for the pair to be tried."""
+
+MAX_GAP = 3
+"""Pictures of a robot at most this far apart in its sequence are tried across a gap."""
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:
@@ -63,6 +77,26 @@ def write(outcome: Outcome[SlamBody, Dataset], folder: Path) -> None:
             if entry.image_id in poses
         ]
         (folder / f"{robot}.tum").write_text(format_tum(stamped), encoding="utf-8")
+    if outcome.body.poses:
+        (folder / "location_graph.svg").write_text(_drawn(outcome.body), encoding="utf-8")
+
+
+def _drawn(body: SlamBody) -> str:
+    """Draw the location graph."""
+    nodes = [
+        GraphNode(
+            image=row.image,
+            robot=row.robot,
+            label=row.robot + Path(row.image).stem,
+            component=row.component,
+            x=row.x,
+            y=row.y,
+            yaw=float(np.radians(row.yaw_deg)),
+            covariance=row.covariance[3:5, 3:5],
+        )
+        for row in body.poses
+    ]
+    return draw(nodes, [GraphEdge(row.image_i, row.image_j, row.kind) for row in body.edges])
 
 
 def _known(dataset: Dataset) -> SlamBody:
@@ -75,38 +109,80 @@ def _known(dataset: Dataset) -> SlamBody:
 
 
 def _mapped(context: Context) -> SlamBody:
-    """Adjust all cameras over the plane."""
+    """Adjust all cameras over the plane; look for more links where the map shows common ground."""
     entries = {entry.image_id: entry for entry in context.dataset.entries}
     reference = context.config.slam.reference or next(iter(entries))
+    cameras = {image: entry.camera for image, entry in entries.items()}
+    mounts = {image: entry.mount for image, entry in entries.items()}
+
+    def adjusted() -> MapResult:
+        return build_map(cameras, mounts, list(entries), links, reference, MapOptions())
+
     links = [*_matched(context), *_overlapping(context)]
-    result = build_map(
-        {image: entry.camera for image, entry in entries.items()},
-        {image: entry.mount for image, entry in entries.items()},
-        list(entries),
-        links,
-        reference,
-        MapOptions(),
-    )
+    result = adjusted()
+    tried = _tried(context)
+    for _ in range(LOOP_ROUNDS if context.config.slam.loops else 0):
+        pairs = _proposed(cameras, list(entries), result, tried)
+        found = list(_searched(context, pairs))
+        tried |= set(pairs)
+        if not found:
+            break
+        links += found
+        result = adjusted()
     return _body(reference, entries, links, result)
+
+
+def _tried(context: Context) -> set[tuple[str, str]]:
+    """List the pairs that were matched or rejected before."""
+    pairs = {(row.image_i, row.image_j) for row in context.artefact(MatchBody).body.pairs}
+    for row in context.artefact(OverlapBody).body.overlaps:
+        pairs |= {(c.image_i, c.image_j) for c in row.candidates}
+    return pairs
+
+
+def _proposed(
+    cameras: dict[str, Camera], order: list[str], result: MapResult, tried: set[tuple[str, str]]
+) -> list[tuple[str, str]]:
+    """Pairs whose ground overlaps on the map, and pairs that may bridge a gap in a chain."""
+    pairs = []
+    for component in result.components:
+        poses = {image: result.poses[image].map_from_camera for image in component}
+        pairs += loop_candidates(
+            cameras, poses, tried, min_share=MIN_SHARED_GROUND, max_per_image=LOOPS_PER_IMAGE
+        )
+    pairs += gap_candidates(order, result.components, tried, max_gap=MAX_GAP)
+    return list(dict.fromkeys((c.image_i, c.image_j) for c in pairs))
+
+
+def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
+    """Match proposed pairs and yield the links found."""
+    order = [entry.image_id for entry in context.dataset.entries]
+    steps = len({image for pair in pairs for image in pair}) + len(pairs)
+    with context.progress("loops", steps) as ticker:
+        verdicts = match_pairs(
+            context.dataset,
+            pairs,
+            options_from(context.config),
+            seed=context.config.seed,
+            jobs=context.jobs,
+            on_step=ticker.advance,
+        )
+        for pair, verdict in zip(pairs, verdicts, strict=True):
+            if isinstance(verdict, PairMatch):
+                kind = link_kind(order, *pair)
+                yield Link(*pair, kind, verdict.homography, verdict.points_i, verdict.points_j)
 
 
 def _matched(context: Context) -> Iterator[Link]:
     """Turn matched pairs into links."""
     match = context.artefact(MatchBody)
     points = match.arrays("match.npz")
-    following = {
-        (a.image_id, b.image_id)
-        for robot in context.dataset.robots.values()
-        for a, b in pairwise(robot)
-    }
+    order = [entry.image_id for entry in context.dataset.entries]
     for k, row in enumerate(match.body.pairs):
-        if row.H is None:
-            continue
-        pair = row.image_i, row.image_j
-        same = pair[0].split("/")[0] == pair[1].split("/")[0]
-        odometry = pair in following or pair[::-1] in following
-        kind = "odometry" if odometry else "loop" if same else "overlap"
-        yield Link(*pair, kind, row.H, points[f"{k}/points_i"], points[f"{k}/points_j"])
+        if row.H is not None:
+            pair = row.image_i, row.image_j
+            kind = link_kind(order, *pair)
+            yield Link(*pair, kind, row.H, points[f"{k}/points_i"], points[f"{k}/points_j"])
 
 
 def _overlapping(context: Context) -> Iterator[Link]:
