@@ -13,7 +13,7 @@ from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
 from gvpipe.core.candidates import Candidate, candidate_pairs
 from gvpipe.core.histogram import BINS, DISTANCES, ground_histogram
-from gvpipe.core.signature import Signature, expected_overlaps, ground_signature
+from gvpipe.core.signature import Signature, common_ground, expected_overlaps, ground_signature
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
@@ -24,6 +24,9 @@ from gvpipe.stages.contract import Context, Outcome
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "seed")
 BODY = OverlapBody
+
+MIN_COMMON_GROUND = 0.08
+"""Share of either picture's ground that both must see for an overlap to count."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -89,7 +92,7 @@ def run(context: Context) -> Outcome[OverlapBody, Arrays]:
                 arrays[f"{name}/{k}/points_i"] = verdict.points_i
                 arrays[f"{name}/{k}/points_j"] = verdict.points_j
         candidates = tuple(
-            _row(pair, candidate.distance, verdict)
+            _row(pair, candidate.distance, _sharing(pair, verdict, looks))
             for pair, candidate, verdict in zip(
                 meeting.pairs, meeting.candidates, results, strict=True
             )
@@ -132,6 +135,24 @@ def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iter
         candidates = candidate_pairs(distances[settings.distance], settings.threshold, expected)
         pairs = [(ids_a[c.i], ids_b[c.j]) for c in candidates]
         yield _Meeting((a, b), dict(distances), candidates, pairs)
+
+
+def _sharing(
+    pair: tuple[str, str], verdict: PairMatch | Rejected, looks: dict[str, _Look]
+) -> PairMatch | Rejected:
+    """Reject a pair whose pictures hardly share any ground: it would join two maps by an edge."""
+    if isinstance(verdict, Rejected):
+        return verdict
+    i, j = (looks[image].signature for image in pair)
+    share = common_ground(i, j, verdict.overhead_j_from_i)
+    if share >= MIN_COMMON_GROUND:
+        return verdict
+    return Rejected(
+        f"the pictures share {share:.1%} of their ground, {MIN_COMMON_GROUND:.0%} are needed",
+        verdict.candidates,
+        verdict.trials,
+        len(verdict.points_i),
+    )
 
 
 def _row(pair: tuple[str, str], distance: float, verdict: PairMatch | Rejected) -> CandidateRow:
