@@ -260,6 +260,31 @@ def test_units_do_not_matter() -> None:
     assert np.abs(metres.u / 0.005 - voxels.u).max() < 0.05
 
 
+@pytest.mark.parametrize("evolution", ["volume", "layers"])
+def test_any_number_of_threads_gives_the_same_bytes(evolution: str) -> None:
+    _, f, g, u0 = two_boxes()
+    one, two, five = (
+        evolve(u0, f, g, np.ones(3), iterations=150, evolution=evolution, jobs=jobs)  # type: ignore[arg-type]
+        for jobs in (1, 2, 5)
+    )
+    assert one.u.tobytes() == two.u.tobytes() == five.u.tobytes()
+    assert one.energy == two.energy == five.energy
+
+
+@pytest.mark.parametrize("width", [5, 8])
+def test_a_thin_pole_is_not_lost_on_coarse_levels(width: int) -> None:
+    x, y, z = np.meshgrid(*[np.arange(64.0)] * 3, indexing="ij")
+    d = np.maximum(np.hypot(x - 31.7, y - 30.4) - width / 2, z - 50)
+    f = (np.tanh(d / 1.5) * np.where(d < 0, 1.0, 0.15)).astype(np.float32)
+    g = (0.4 * (1 - 0.8 * np.exp(-((d / 2) ** 2)))).astype(np.float32)
+    u0 = np.minimum.reduce([26 - np.abs(x - 31), 26 - np.abs(y - 31), 60 - z]).astype(np.float32)
+    result = evolve(u0, f, g, np.ones(3), iterations=2000, levels=3)
+    inside = result.u > 0
+    assert (inside & (d < 0)).sum() > 0.85 * (d < 0).sum()
+    assert (inside & (d > 1)).sum() == 0
+    assert (np.diff([e for _, e in result.energy]) <= 0).all()
+
+
 def test_axes_are_treated_alike() -> None:
     _, f, g, u0 = two_boxes()
     plain = evolve(u0, f, g, np.ones(3), iterations=60, levels=1).u

@@ -1,11 +1,13 @@
 """The energy whose minimum is the obstacles' surface."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.resample import energy_slab
+from gvpipe.core.slabs import Slabs
 
 Volume = NDArray[np.float32]
 """(nx, ny, nz) float32."""
@@ -67,14 +69,24 @@ def measure(
     -------
     energy : Energy
     """
-    return measure_padded(padded(u), padded(f), padded(g), np.asarray(spacing), layers)
+    with Slabs(1) as slabs:
+        return measure_padded(padded(u), padded(f), padded(g), np.asarray(spacing), layers, slabs)
 
 
 def measure_padded(
-    u: Volume, f: Volume, g: Volume, spacing: NDArray[np.float64], layers: bool
+    u: Volume,
+    f: Volume,
+    g: Volume,
+    spacing: NDArray[np.float64],
+    layers: bool,
+    slabs: Slabs,
 ) -> Energy:
     """Evaluate the energy of arrays that are :func:`padded` already."""
     pitch = np.float32(spacing[: 2 if layers else 3].min())
-    sums = energy_slab(u, f, g, inverse_spacing(spacing, layers), pitch, 0, len(u)).sum(axis=0)
+    arguments = (u, f, g, inverse_spacing(spacing, layers), pitch)
+    even = np.ones(len(u), dtype=np.int64)
+    slices = slabs.run(even, functools.partial(energy_slab, *arguments))
+    # summed slice by slice: the same order for any number of slabs
+    sums = np.concatenate(slices).sum(axis=0)
     cell = float(np.prod(spacing))
     return Energy(volume=float(sums[0]) * cell, area=float(sums[1]) * cell)

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.energy import Energy, Volume, measure_padded, padded
-from gvpipe.core.kernels.resample import double, halve
+from gvpipe.core.kernels.resample import double, halve, nucleate
 from gvpipe.core.narrowband import COURANT, NarrowBand
+from gvpipe.core.slabs import Slabs
 
 SMALLEST_LEVEL = 12
 """A pyramid level is not made coarser than this many voxels along any axis."""
@@ -59,6 +60,7 @@ def evolve(
     tolerance: float = 1e-4,
     on_iteration: Callable[[int, Volume], None] | None = None,
     levels: int | None = None,
+    jobs: int = 1,
 ) -> Evolution:
     """Move a closed surface downhill on ``E = integral of f inside + integral of g over it``.
 
@@ -84,6 +86,8 @@ def evolve(
     levels : int, optional
         Resolutions to work on, coarse to fine. Default: three where the grid allows it; one for
         layers, whose number must not change.
+    jobs : int
+        Threads; the result does not depend on them.
 
     Returns
     -------
@@ -107,8 +111,11 @@ def evolve(
     layers = evolution == "layers"
     if levels is None:
         levels = 1 if layers else MOST_LEVELS
-    descent = _Descent(padded(u0), padded(f), padded(g), spacing, layers, tolerance, on_iteration)
-    converged = descent.run(levels, iterations)
+    with Slabs(jobs) as slabs:
+        descent = _Descent(
+            padded(u0), padded(f), padded(g), spacing, layers, tolerance, on_iteration, slabs
+        )
+        converged = descent.run(levels, iterations)
     u = np.ascontiguousarray(descent.best[:, :, 1:-1])
     return Evolution(u, descent.trace, descent.iteration, converged)
 
@@ -135,6 +142,7 @@ class _Descent:
     layers: bool
     tolerance: float
     on_iteration: Callable[[int, Volume], None] | None
+    slabs: Slabs
     iteration: int = 0
     trace: list[tuple[int, float]] = field(default_factory=list)
 
@@ -144,19 +152,43 @@ class _Descent:
         while len(weights) < levels and min(self._size(len(weights))) >= SMALLEST_LEVEL:
             f, g = weights[-1]
             weights.append((halve(f), halve(g)))
-        band = NarrowBand(self.best, self.f, self.g, self.spacing, self.layers)
+        starts = [self.best.copy()]
+        while len(starts) < len(weights):
+            starts.append(halve(starts[-1]))
+        u = self._band(0, weights[0], self.best.copy()).u
+        self._accept(u, self._energy(u))
+        del u  # a whole grid
+        rests = False
+        for level in range(len(weights) - 1, -1, -1):
+            if level < len(weights) - 1:
+                self._seed(level, weights[level], starts[level])
+            u = self._coarse(level)
+            band = self._band(level, weights[level], u if level else u.copy())
+            rests = self._descend(band, level, iterations)
+        return rests
+
+    def _coarse(self, level: int) -> Volume:
+        """Bring the best surface to a level; on the finest it is the best surface itself."""
+        u = self.best
+        for _ in range(level):
+            u = halve(u)
+        return u
+
+    def _band(self, level: int, weights: tuple[Volume, Volume], u: Volume) -> NarrowBand:
+        """Narrow band of a level around the front of u."""
+        band = NarrowBand(u, *weights, self.spacing * 2**level, self.layers, self.slabs)
         band.redistance()
-        self._accept(band.u, self._energy(band.u))
-        for level in range(len(weights) - 1, 0, -1):
-            u = self.best
-            for _ in range(level):
-                u = halve(u)
-            coarse = NarrowBand(u, *weights[level], self.spacing * 2**level, self.layers)
-            coarse.redistance()
-            self._descend(coarse, level, iterations)
-        band = NarrowBand(self.best.copy(), self.f, self.g, self.spacing, self.layers)
-        band.redistance()
-        return self._descend(band, 0, iterations)
+        return band
+
+    def _seed(self, level: int, weights: tuple[Volume, Volume], start: Volume) -> None:
+        """Restore what the start held and a coarser level was too coarse to keep."""
+        x, y, z = (np.float32(s) for s in self.spacing * 2**level)
+        area = np.float32(2.0 / 3.0) * (x * y + y * z + z * x)
+        seeded = nucleate(self._coarse(level), *weights, start, x * y * z, area)
+        u = self._lift(self._band(level, weights, seeded).u, level)
+        energy = self._energy(u)
+        if energy.total < self.trace[-1][1]:
+            self._accept(u, energy)
 
     def _size(self, level: int) -> tuple[int, ...]:
         """Voxels along each axis on a level."""
@@ -196,7 +228,7 @@ class _Descent:
         return u
 
     def _energy(self, u: Volume) -> Energy:
-        return measure_padded(u, self.f, self.g, self.spacing, self.layers)
+        return measure_padded(u, self.f, self.g, self.spacing, self.layers, self.slabs)
 
     def _accept(self, u: Volume, energy: Energy) -> None:
         """Take u as the best surface so far."""

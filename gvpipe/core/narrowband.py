@@ -1,11 +1,14 @@
 """A level-set function that is kept up to date near its front only."""
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.energy import Volume, inverse_spacing
 from gvpipe.core.kernels.distance import distance_slab, front_spans, settle
 from gvpipe.core.kernels.levelset import evolve_slab
+from gvpipe.core.slabs import Slabs
 
 BAND = 5
 """Half width of the narrow band, voxels: the front's travel between two redistancings, and the
@@ -32,6 +35,8 @@ class NarrowBand:
         Voxel spacing.
     layers : bool
         Evolve every z layer as a plane of its own.
+    slabs : Slabs
+        Threads to work with.
 
     Attributes
     ----------
@@ -42,15 +47,22 @@ class NarrowBand:
     """
 
     def __init__(
-        self, u: Volume, f: Volume, g: Volume, spacing: NDArray[np.float64], layers: bool
+        self,
+        u: Volume,
+        f: Volume,
+        g: Volume,
+        spacing: NDArray[np.float64],
+        layers: bool,
+        slabs: Slabs,
     ) -> None:
+        self._slabs = slabs
         self.u, self._spare, self._f, self._g = u, u.copy(), f, g
         self._layers = layers
         self._inverse = inverse_spacing(spacing, layers)
         inverse = np.array(self._inverse, dtype=np.float64)
         self._pitch = float(1.0 / inverse.max())
         self.steps = max(int((BAND - 1.5) / (COURANT * inverse.max() / inverse.sum())), 1)
-        rate = float(np.abs(f).max() * inverse.sum() + 2.0 * g.max() * (inverse**2).sum())
+        rate = float(max(f.max(), -f.min()) * inverse.sum() + 2.0 * g.max() * (inverse**2).sum())
         self._floor = np.float32(max(SLOWEST * rate, 1e-30))
         self._spans = self._everywhere()
 
@@ -68,17 +80,25 @@ class NarrowBand:
     def step(self, courant: float) -> None:
         """Take one time step, `courant` times the largest stable one of each voxel."""
         limit = np.float32(1.0 / self._pitch)
-        evolve_slab(
+        arguments = (
             self.u, self._spare, self._f, self._g, self._spans, self._inverse,
-            np.float32(courant), limit, self._floor, 0, len(self.u),
+            np.float32(courant), limit, self._floor,
         )  # fmt: skip
+        self._slabs.run(_work(self._spans), functools.partial(evolve_slab, *arguments))
         self.u, self._spare = self._spare, self.u
 
     def redistance(self) -> None:
         """Make u a signed distance near the front, and move the band there."""
         new = front_spans(self.u, self._layers, BAND)
+        work = _work(new)
         for sweep in range(BAND + 1):
-            distance_slab(self.u, self._spare, new, self._inverse, sweep == 0, 0, len(self.u))
+            arguments = (self.u, self._spare, new, self._inverse, sweep == 0)
+            self._slabs.run(work, functools.partial(distance_slab, *arguments))
             self.u, self._spare = self._spare, self.u
         settle(self.u, self._spare, self._spans, new, np.float32(BAND * self._pitch))
         self._spans = new
+
+
+def _work(spans: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Voxels inside the spans of each x slice."""
+    return (spans[..., 1] - spans[..., 0]).sum(axis=1, dtype=np.int64)

@@ -122,3 +122,42 @@ def double(a: Volume, out: Volume) -> None:
             if nz % 2:
                 row[nz] = near * mixed[mz] + far * mixed[mz - 1]
             row[0], row[nz + 1] = row[1], row[nz]
+
+
+@kernel
+def nucleate(
+    u: Volume, f: Volume, g: Volume, start: Volume, volume: np.float32, area: np.float32
+) -> Volume:
+    """Add cubes of 3 x 3 x 3 voxels that lower the energy each on its own.
+
+    Parameters
+    ----------
+    u, f, g : (nx, ny, nz + 2) float32
+        Padded level-set function and weights.
+    start : (nx, ny, nz + 2) float32
+        Cubes are centred only where this is positive and u is not.
+    volume, area : float32
+        Volume of a voxel, and a 27th of the area of a cube.
+
+    Returns
+    -------
+    seeded : (nx, ny, nz + 2) float32
+        u, and the size of its largest value inside the new cubes.
+    """
+    nx, ny, depth = u.shape
+    zero = np.float32(0)
+    seeded, inside = u.copy(), max(u.max(), -u.min())
+    for i in range(1, nx - 1):
+        for j in range(1, ny - 1):
+            middle, here, allowed = f[i, j], u[i, j], start[i, j]
+            for k in range(1, depth - 1):
+                if middle[k] >= zero or here[k] > zero or allowed[k] <= zero:
+                    continue
+                change = zero
+                for a in range(i - 1, i + 2):
+                    for b in range(j - 1, j + 2):
+                        for c in range(k - 1, k + 2):
+                            change += f[a, b, c] * volume + g[a, b, c] * area
+                if change < zero:
+                    seeded[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2] = inside
+    return seeded
