@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
 from gvpipe.core.ground import pixel_from_plane
@@ -46,7 +47,7 @@ class Closure:
 def closures(
     links: Sequence[Link], poses: Mapping[str, Pose], cameras: Mapping[str, Camera]
 ) -> tuple[Closure, ...]:
-    """Closing errors of every loop that an odometry chain closes.
+    """Measure the closing error of every loop that an odometry chain closes.
 
     Parameters
     ----------
@@ -68,11 +69,11 @@ def closures(
     for link in links:
         if link.kind == "odometry":
             i, j = index[link.image_i], index[link.image_j]
-            step[i, j], step[j, i] = link.homography, np.linalg.inv(link.homography)
+            step[i, j], step[j, i] = link.homography, inverse(link.homography)
     if not step:
         return ()
     i, j = np.array(list(step)).T
-    graph = coo_matrix((np.ones(len(i)), (i, j)), (len(images), len(images))).tocsr()
+    graph = csr_matrix(coo_matrix((np.ones(len(i)), (i, j)), (len(images), len(images))))
     out = []
     for link in links:
         if link.kind == "odometry":
@@ -81,7 +82,7 @@ def closures(
         if len(chain) <= SHORTEST_CHAIN:
             continue
         product = np.eye(3)
-        for a, b in zip(chain[:-1], chain[1:], strict=True):
+        for a, b in pairwise(chain):
             product = step[a, b] @ product
             product /= np.linalg.norm(product)
         out.append((link, len(chain) - 1, product))
@@ -89,7 +90,7 @@ def closures(
     return tuple(_measured(x, n, h, poses, cameras) for x, n, h in out[:REPORTED])
 
 
-def _chain(graph: coo_matrix, start: int, end: int) -> list[int]:
+def _chain(graph: csr_matrix, start: int, end: int) -> list[int]:
     """Shortest chain of nodes from start to end; empty if there is none."""
     _, parent = breadth_first_order(graph, start, directed=False)
     chain = [end]
@@ -103,10 +104,10 @@ def _chain(graph: coo_matrix, start: int, end: int) -> list[int]:
 def _measured(
     link: Link, count: int, product: Float, poses: Mapping[str, Pose], cameras: Mapping[str, Camera]
 ) -> Closure:
-    """Closing errors of one chain, measured on the ground."""
+    """Measure the closing errors of one chain on the ground."""
     i, j = link.image_i, link.image_j
-    map_from_i = np.linalg.inv(pixel_from_plane(cameras[i], poses[i]))
-    map_from_j = np.linalg.inv(pixel_from_plane(cameras[j], poses[j]))
+    map_from_i = inverse(pixel_from_plane(cameras[i], poses[i]))
+    map_from_j = inverse(pixel_from_plane(cameras[j], poses[j]))
     there = apply(map_from_j, link.points_j)
 
     def median_m(points: Float) -> float:

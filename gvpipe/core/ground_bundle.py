@@ -94,7 +94,7 @@ class Problem:
         return state
 
     def normal(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> Normal:
-        """Normal matrix of the cameras at `state`, the ground points eliminated."""
+        """Return the normal matrix of the cameras at `state`, the points eliminated."""
         return self._linearise(state, spread, loss_px, noise_px)[0]
 
     def _moved(self, state: State, step: Float, elimination: tuple[Float, Float, Float]) -> State:
