@@ -8,9 +8,9 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
-from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.homography import apply
 from gvpipe.core.links import Link
+from gvpipe.core.transfer import map_from_pixel, median_distance
 from gvpipe.core.types import Camera, Float, Pose
 
 REPORTED = 20
@@ -54,7 +54,8 @@ def closures(
     links : sequence of Link
         Links the map rests on.
     poses : mapping of image id to Pose
-        Camera to map, of registered images.
+        Camera to map, of registered images in the order they were taken: the chains run from
+        each to the next.
     cameras : mapping of image id to Camera
         Intrinsics.
 
@@ -67,9 +68,10 @@ def closures(
     index = {image: k for k, image in enumerate(images)}
     step: dict[tuple[int, int], Float] = {}
     for link in links:
-        if link.kind == "odometry":
-            i, j = index[link.image_i], index[link.image_j]
-            step[i, j], step[j, i] = link.homography, inverse(link.homography)
+        i, j = index[link.image_i], index[link.image_j]
+        if link.kind == "odometry" and abs(i - j) == 1:
+            step[i, j] = link.homography
+            step[j, i] = np.asarray(np.linalg.inv(link.homography), dtype=np.float64)
     if not step:
         return ()
     i, j = np.array(list(step)).T
@@ -106,18 +108,13 @@ def _measured(
 ) -> Closure:
     """Measure the closing errors of one chain on the ground."""
     i, j = link.image_i, link.image_j
-    map_from_i = inverse(pixel_from_plane(cameras[i], poses[i]))
-    map_from_j = inverse(pixel_from_plane(cameras[j], poses[j]))
+    map_from_i = map_from_pixel(cameras[i], poses[i])
+    map_from_j = map_from_pixel(cameras[j], poses[j])
     there = apply(map_from_j, link.points_j)
-
-    def median_m(points: Float) -> float:
-        distance = np.linalg.norm(points - there, axis=1)
-        return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
-
     return Closure(
         image_i=i,
         image_j=j,
         chain_links=count,
-        concatenated_m=median_m(apply(map_from_j @ product, link.points_i)),
-        optimised_m=median_m(apply(map_from_i, link.points_i)),
+        concatenated_m=median_distance(apply(map_from_j @ product, link.points_i), there),
+        optimised_m=median_distance(apply(map_from_i, link.points_i), there),
     )

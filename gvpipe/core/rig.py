@@ -187,8 +187,9 @@ def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[csc_matrix, Fl
     size = 6 * n + 3 * groups
     weight = 1.0 / spread.within[rig.group] ** 2
     pull = weight * deviations(rig, state)
-    own = (6 * np.arange(n)[:, None] + [3, 4, 5]).ravel()
-    mean = (6 * n + 3 * rig.group[:, None] + [0, 1, 2]).ravel()
+    three = np.arange(3)
+    own = (6 * np.arange(n)[:, None] + 3 + three).ravel()
+    mean = (6 * n + 3 * rig.group[:, None] + three).ravel()
     mean_weight = 1.0 / spread.mean**2
     anchored = spread.anchor >= 0
     mean_weight[anchored, 2] = 0.0

@@ -95,9 +95,7 @@ def draw(nodes: Sequence[GraphNode], edges: Sequence[GraphEdge]) -> str:
         raise ValueError("a location graph needs at least one image")
     sheet = _Sheet(nodes)
     drawing = Drawing(sheet.width + LEGEND_PX, sheet.height, "Location graph")
-    drawing.add(
-        "rect", {"width": drawing.width, "height": drawing.height, "fill": "#ffffff"}
-    )
+    drawing.add("rect", {"width": drawing.width, "height": drawing.height, "fill": "#ffffff"})
     sheet.draw_axes(drawing)
     at = {node.image: sheet.at(node) for node in nodes}
     for edge in edges:
@@ -181,9 +179,7 @@ def _round_down(value: float) -> float:
     )
 
 
-def _draw_ellipse(
-    drawing: Drawing, node: GraphNode, at: Point, scale: float, colour: str
-) -> None:
+def _draw_ellipse(drawing: Drawing, node: GraphNode, at: Point, scale: float, colour: str) -> None:
     """Ellipse that holds 95 % of a position, `scale` pixels to the metre."""
     values, vectors = np.linalg.eigh(node.covariance)
     if values[1] <= 0:
@@ -219,9 +215,7 @@ def _draw_camera(drawing: Drawing, node: GraphNode, at: Point, colour: str) -> N
     )
 
 
-def _draw_labels(
-    drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, Point]
-) -> None:
+def _draw_labels(drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, Point]) -> None:
     """Write each label at the first free place around its image; leave out what does not fit."""
     taken = [(x - 6.0, y - 6.0, x + 6.0, y + 6.0) for x, y in at.values()]
     for node in nodes:
