@@ -31,12 +31,12 @@ def loop_path(count: int, radius: float = 1.2, turns: float = 1.02) -> Float:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), angle + np.pi / 2])
 
 
-def arc_path(count: int, step: float = 0.25, bend: float = 0.06, start: Float | None = None) -> Float:
+def arc_path(count: int, step: float = 0.25, bend: float = 0.06) -> Float:
     """Positions and headings (N, 3) along an arc."""
     heading = bend * np.arange(count)
     x = np.cumsum(np.append(0.0, step * np.cos(heading[:-1])))
     y = np.cumsum(np.append(0.0, step * np.sin(heading[:-1])))
-    return np.column_stack([x, y, heading]) + (0.0 if start is None else start)
+    return np.column_stack([x, y, heading])
 
 
 def make_scene(
@@ -103,7 +103,8 @@ def _observe(
     near = np.linalg.norm(ground - pose.translation[:2], axis=1) < 4.0 * height
     inside = ((pixel >= 0) & (pixel <= [CAMERA.width - 1, CAMERA.height - 1])).all(axis=1)
     which = np.nonzero((depth > 0) & near & inside)[0]
-    return dict(zip(which.tolist(), pixel[which] + rng.normal(0.0, noise_px, (len(which), 2))))
+    noisy = pixel[which] + rng.normal(0.0, noise_px, (len(which), 2))
+    return dict(zip(which.tolist(), noisy, strict=True))
 
 
 def _link(

@@ -16,6 +16,10 @@ CAUCHY = 2.385
 FIRST_LOSS_PX = 10.0
 """Loss scale of the first adjustment, pixels: initial poses are off by several pixels."""
 
+LEAST_NOISE_PX = 0.01
+"""Noise below which real corners cannot be found; without it exact matches would make the priors
+vanish beside the data."""
+
 ROUNDS = 8
 """Re-estimations of the variances at most; they settle in three to five."""
 
@@ -122,14 +126,14 @@ def _noise(problem: Problem, state: State) -> tuple[float, float]:
     freedom = 2.0 * (seen - 1)
     # the misfit of a point with d degrees of freedom has about this median, in variances
     middle = freedom * (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    loss_sq = max(CAUCHY**2 * float(np.median(misfits / middle)), 1e-12)
+    loss_sq = CAUCHY**2 * max(float(np.median(misfits / middle)), LEAST_NOISE_PX**2)
     ratio = misfits / (loss_sq * (seen - 1))
     weight = 1.0 / (1.0 + ratio)
     total = freedom.sum()
     curvature = float(freedom @ weight - 2.0 * (weight**2 * ratio).sum()) / total
     left = max(total - 6.0 * len(state.cameras), 1.0)
     variance = float((weight**2) @ misfits) / left * float(freedom @ weight) / total
-    return float(np.sqrt(loss_sq)), float(np.sqrt(variance)) / curvature
+    return float(np.sqrt(loss_sq)), max(float(np.sqrt(variance)) / curvature, LEAST_NOISE_PX)
 
 
 def _variances(

@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
-from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.homography import apply
 from gvpipe.core.links import Link
+from gvpipe.core.transfer import map_from_pixel, median_distance
 from gvpipe.core.types import Camera, Float, Pose
 
 REPORTED = 20
@@ -46,14 +47,15 @@ class Closure:
 def closures(
     links: Sequence[Link], poses: Mapping[str, Pose], cameras: Mapping[str, Camera]
 ) -> tuple[Closure, ...]:
-    """Closing errors of every loop that an odometry chain closes.
+    """Measure the closing error of every loop that an odometry chain closes.
 
     Parameters
     ----------
     links : sequence of Link
         Links the map rests on.
     poses : mapping of image id to Pose
-        Camera to map, of registered images.
+        Camera to map, of registered images in the order they were taken: the chains run from
+        each to the next.
     cameras : mapping of image id to Camera
         Intrinsics.
 
@@ -66,13 +68,14 @@ def closures(
     index = {image: k for k, image in enumerate(images)}
     step: dict[tuple[int, int], Float] = {}
     for link in links:
-        if link.kind == "odometry":
-            i, j = index[link.image_i], index[link.image_j]
-            step[i, j], step[j, i] = link.homography, np.linalg.inv(link.homography)
+        i, j = index[link.image_i], index[link.image_j]
+        if link.kind == "odometry" and abs(i - j) == 1:
+            step[i, j] = link.homography
+            step[j, i] = np.asarray(np.linalg.inv(link.homography), dtype=np.float64)
     if not step:
         return ()
     i, j = np.array(list(step)).T
-    graph = coo_matrix((np.ones(len(i)), (i, j)), (len(images), len(images))).tocsr()
+    graph = csr_matrix(coo_matrix((np.ones(len(i)), (i, j)), (len(images), len(images))))
     out = []
     for link in links:
         if link.kind == "odometry":
@@ -81,7 +84,7 @@ def closures(
         if len(chain) <= SHORTEST_CHAIN:
             continue
         product = np.eye(3)
-        for a, b in zip(chain[:-1], chain[1:], strict=True):
+        for a, b in pairwise(chain):
             product = step[a, b] @ product
             product /= np.linalg.norm(product)
         out.append((link, len(chain) - 1, product))
@@ -89,7 +92,7 @@ def closures(
     return tuple(_measured(x, n, h, poses, cameras) for x, n, h in out[:REPORTED])
 
 
-def _chain(graph: coo_matrix, start: int, end: int) -> list[int]:
+def _chain(graph: csr_matrix, start: int, end: int) -> list[int]:
     """Shortest chain of nodes from start to end; empty if there is none."""
     _, parent = breadth_first_order(graph, start, directed=False)
     chain = [end]
@@ -103,20 +106,15 @@ def _chain(graph: coo_matrix, start: int, end: int) -> list[int]:
 def _measured(
     link: Link, count: int, product: Float, poses: Mapping[str, Pose], cameras: Mapping[str, Camera]
 ) -> Closure:
-    """Closing errors of one chain, measured on the ground."""
+    """Measure the closing errors of one chain on the ground."""
     i, j = link.image_i, link.image_j
-    map_from_i = np.linalg.inv(pixel_from_plane(cameras[i], poses[i]))
-    map_from_j = np.linalg.inv(pixel_from_plane(cameras[j], poses[j]))
+    map_from_i = map_from_pixel(cameras[i], poses[i])
+    map_from_j = map_from_pixel(cameras[j], poses[j])
     there = apply(map_from_j, link.points_j)
-
-    def median_m(points: Float) -> float:
-        distance = np.linalg.norm(points - there, axis=1)
-        return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
-
     return Closure(
         image_i=i,
         image_j=j,
         chain_links=count,
-        concatenated_m=median_m(apply(map_from_j @ product, link.points_i)),
-        optimised_m=median_m(apply(map_from_i, link.points_i)),
+        concatenated_m=median_distance(apply(map_from_j @ product, link.points_i), there),
+        optimised_m=median_distance(apply(map_from_i, link.points_i), there),
     )

@@ -62,8 +62,8 @@ class Placements:
     tolerance: Float
     trust: Float
 
-    def pick(self, keep: Mask) -> "Placements":
-        """Return the links under a mask."""
+    def pick(self, keep: Mask | Index) -> "Placements":
+        """Return the links under a mask or of given numbers."""
         return Placements(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
@@ -190,7 +190,7 @@ def grow(links: Placements, count: int) -> tuple[Float, Index]:
     component : (N,) int64
         Connected part of each image.
     """
-    at = [[] for _ in range(count)]
+    at: list[list[int]] = [[] for _ in range(count)]
     for k, (i, j) in enumerate(zip(links.i.tolist(), links.j.tolist(), strict=True)):
         at[i].append(k)
         at[j].append(k)

@@ -12,6 +12,10 @@ from gvpipe.core.types import Float
 RELATIVE_GAIN = 1e-7
 """The adjustment stops when a step lowers the cost by less than this share."""
 
+FIRST_DAMPING = 1e-4
+MAX_DAMPING = 1e8
+"""Share by which the diagonal is raised at first, and where the search for a step ends."""
+
 
 class Problem:
     """One connected set of cameras with their tracks."""
@@ -74,19 +78,23 @@ class Problem:
         self, state: State, spread: Spread, loss_px: float, noise_px: float, steps: int
     ) -> State:
         """Levenberg-Marquardt from `state`, at most `steps` steps."""
-        damping = 1e-4
+        damping = FIRST_DAMPING
         cost = self.cost(state, spread, loss_px, noise_px)
         for _ in range(steps):
             normal, gradient, elimination = self._linearise(state, spread, loss_px, noise_px)
             gained = 0.0
-            while damping < 1e8:
-                step = normal.factor(damping).solve(-gradient)
+            while damping < MAX_DAMPING:
+                try:
+                    step = normal.factor(damping).solve(-gradient)
+                except np.linalg.LinAlgError:
+                    damping *= 10.0
+                    continue
                 trial = self._moved(state, step, elimination)
                 trial_cost = self.cost(trial, spread, loss_px, noise_px)
                 if trial_cost <= cost:
                     gained = cost - trial_cost
                     state, cost = trial, trial_cost
-                    damping = max(damping / 10.0, 1e-12)
+                    damping /= 10.0
                     break
                 damping *= 10.0
             if gained <= RELATIVE_GAIN * cost:
@@ -94,7 +102,7 @@ class Problem:
         return state
 
     def normal(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> Normal:
-        """Normal matrix of the cameras at `state`, the ground points eliminated."""
+        """Return the normal matrix of the cameras at `state`, the points eliminated."""
         return self._linearise(state, spread, loss_px, noise_px)[0]
 
     def _moved(self, state: State, step: Float, elimination: tuple[Float, Float, Float]) -> State:

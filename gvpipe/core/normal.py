@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, diags_array
 from scipy.sparse.linalg import splu
 
 from gvpipe.core.tracks import Index
@@ -30,18 +30,30 @@ class Normal:
 
 
 class Factor:
-    """Solver of one damped normal matrix; fixed unknowns get zero steps."""
+    """Solver of one damped normal matrix; fixed unknowns get zero steps.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
 
     def __init__(self, normal: Normal, damping: float) -> None:
-        matrix = normal.matrix.copy()
-        matrix.setdiag(matrix.diagonal() * (1.0 + damping))
         self._normal = normal
+        diagonal = normal.matrix.diagonal()
+        if not (diagonal > 0).all():
+            raise np.linalg.LinAlgError("an unknown has no equation")
+        # a unit diagonal: radians, metres and logarithms differ by orders of magnitude
+        self._scale = 1.0 / np.sqrt(diagonal)
+        scaling = diags_array(self._scale)
+        matrix = csc_matrix(scaling @ normal.matrix @ scaling)
+        matrix.setdiag(1.0 + damping)
         self._dense = len(normal.free) <= DENSE_LIMIT
         if self._dense:
             self._cholesky = cho_factor(matrix.toarray(), lower=True)
         else:
             self._lu = splu(
-                csc_matrix(matrix),
+                matrix,
                 permc_spec="MMD_AT_PLUS_A",
                 diag_pivot_thresh=0.0,
                 options={"SymmetricMode": True},
@@ -51,8 +63,10 @@ class Factor:
         """Solve for one (S,) or several (S, C) right sides over all unknowns."""
         free = self._normal.free
         full = np.zeros_like(right)
-        part = np.ascontiguousarray(right[free])
-        full[free] = cho_solve(self._cholesky, part) if self._dense else self._lu.solve(part)
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        part = np.ascontiguousarray(right[free] * scale)
+        solved = cho_solve(self._cholesky, part) if self._dense else self._lu.solve(part)
+        full[free] = solved * scale
         return full
 
 

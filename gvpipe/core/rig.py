@@ -124,7 +124,7 @@ def _right_jacobian(vectors: Float) -> Float:
 
 
 def pose_jacobians(rig: Rig, cameras: Float) -> Float:
-    """Derivatives (N, 6, 6) of each pose by its unknowns.
+    """Differentiate each pose by its unknowns, (N, 6, 6).
 
     Rows are the rotation vector (applied on the left, in map axes) and the translation.
     """
@@ -169,6 +169,7 @@ def deviations(rig: Rig, state: State) -> Float:
 
 
 def prior_cost(rig: Rig, state: State, spread: Spread) -> float:
+    """Sum the squared deviations from the priors, in units of their variances."""
     anchored = spread.anchor >= 0
     heights = state.cameras[spread.anchor[anchored], 5] / spread.mean[anchored, 2]
     free_mean = state.means / spread.mean
@@ -181,13 +182,14 @@ def prior_cost(rig: Rig, state: State, spread: Spread) -> float:
 
 
 def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[csc_matrix, Float]:
-    """Normal matrix and gradient of the priors."""
+    """Return normal matrix and gradient (of half the cost) of the priors."""
     n, groups = len(state.cameras), len(state.means)
     size = 6 * n + 3 * groups
     weight = 1.0 / spread.within[rig.group] ** 2
     pull = weight * deviations(rig, state)
-    own = (6 * np.arange(n)[:, None] + [3, 4, 5]).ravel()
-    mean = (6 * n + 3 * rig.group[:, None] + [0, 1, 2]).ravel()
+    three = np.arange(3)
+    own = (6 * np.arange(n)[:, None] + 3 + three).ravel()
+    mean = (6 * n + 3 * rig.group[:, None] + three).ravel()
     mean_weight = 1.0 / spread.mean**2
     anchored = spread.anchor >= 0
     mean_weight[anchored, 2] = 0.0

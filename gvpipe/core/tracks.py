@@ -66,13 +66,11 @@ def chain_matches(
         or [np.empty(0, np.int64)]
     )
     pixel = np.concatenate([np.concatenate(both) for both in points] or [np.empty((0, 2))])
-    sizes = [len(p) for p, _ in points]
-    offsets = np.cumsum([0, *(2 * n for n in sizes)])
-    left = np.concatenate(
-        [np.arange(o, o + n) for o, n in zip(offsets, sizes, strict=False)] or [[]]
-    )
-    left = left.astype(np.int64)
-    right = left + np.repeat(sizes, sizes) if len(left) else left
+    sizes = np.array([len(p) for p, _ in points], dtype=np.int64)
+    offsets = 2 * np.append(0, np.cumsum(sizes))
+    # observation n of a link in i has its partner in j as many places on as the link has matches
+    left = np.arange(sum(sizes)) + np.repeat(offsets[:-1] // 2, sizes)
+    right = left + np.repeat(sizes, sizes)
     cells = np.column_stack([camera, np.round(pixel / SAME_CORNER_PX)]).astype(np.int64)
     _, first, corner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     corner = corner.ravel()

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.core.types import Float
-from gvpipe.formats.svg import Drawing, number
+from gvpipe.formats.svg import Drawing, Point, Style, number
 
 SIZE_PX = 900.0
 """Longer side of the space for the graph."""
 
-MARGIN_PX = 60.0
+MARGIN_PX = 70.0
+"""Space around the graph, enough for axes and labels."""
+
 LEGEND_PX = 190.0
+"""Width of the legend."""
 
 CONFIDENCE_95 = 2.4477
 """Deviations that hold 95 % of a two-dimensional Gaussian: sqrt(-2 ln 0.05)."""
@@ -20,11 +23,12 @@ CONFIDENCE_95 = 2.4477
 ELLIPSE_PX = 26.0
 """Largest half axis an uncertainty ellipse may have on paper."""
 
-EDGE_STYLES = {
-    "odometry": {"stroke": "#777777", "stroke_width": 1.6},
-    "loop": {"stroke": "#d55e00", "stroke_width": 1.8, "stroke_dasharray": "6 3"},
-    "overlap": {"stroke": "#0072b2", "stroke_width": 1.8, "stroke_dasharray": "2 3"},
+EDGE_STYLES: dict[str, Style] = {
+    "odometry": {"stroke": "#777777", "stroke-width": 1.6},
+    "loop": {"stroke": "#d55e00", "stroke-width": 1.8, "stroke-dasharray": "6 3"},
+    "overlap": {"stroke": "#0072b2", "stroke-width": 1.8, "stroke-dasharray": "2 3"},
 }
+"""How each kind of link is drawn, colours that colour-blind readers tell apart (Okabe, Ito)."""
 
 ROBOT_COLOURS = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#882255", "#44aa99", "#999933")
 
@@ -91,13 +95,13 @@ def draw(nodes: Sequence[GraphNode], edges: Sequence[GraphEdge]) -> str:
         raise ValueError("a location graph needs at least one image")
     sheet = _Sheet(nodes)
     drawing = Drawing(sheet.width + LEGEND_PX, sheet.height, "Location graph")
-    drawing.add("rect", width=drawing.width, height=drawing.height, fill="#ffffff")
+    drawing.add("rect", {"width": drawing.width, "height": drawing.height, "fill": "#ffffff"})
     sheet.draw_axes(drawing)
     at = {node.image: sheet.at(node) for node in nodes}
     for edge in edges:
         if edge.image_i not in at or edge.image_j not in at:
             raise ValueError(f"edge {edge.image_i} - {edge.image_j} has no node")
-        drawing.line(at[edge.image_i], at[edge.image_j], **EDGE_STYLES[edge.kind])
+        drawing.line(at[edge.image_i], at[edge.image_j], EDGE_STYLES[edge.kind])
     robots = list(dict.fromkeys(node.robot for node in nodes))
     colours = {r: ROBOT_COLOURS[k % len(ROBOT_COLOURS)] for k, r in enumerate(robots)}
     enlarged = _enlargement(nodes, sheet.scale)
@@ -132,11 +136,11 @@ class _Sheet:
         self.width = left
         self.height = max(float(spans[:, 1].max()) * self.scale + 2 * MARGIN_PX, 320.0)
 
-    def at(self, node: GraphNode) -> tuple[float, float]:
+    def at(self, node: GraphNode) -> Point:
         """Paper position of a node."""
         return self.place(node.component, node.x, node.y)
 
-    def place(self, component: int, x: float, y: float) -> tuple[float, float]:
+    def place(self, component: int, x: float, y: float) -> Point:
         """Paper position of a point of a component's map."""
         low, high = self._boxes[component]
         middle = (self.height - (high[1] - low[1]) * self.scale) / 2.0
@@ -151,13 +155,13 @@ class _Sheet:
             origin = self.place(component, 0.0, 0.0)
             for name, dx, dy in (("x", 1.0, 0.0), ("y", 0.0, -1.0)):
                 tip = (origin[0] + 42.0 * dx, origin[1] + 42.0 * dy)
-                drawing.line(origin, tip, stroke="#bbbbbb", stroke_width=1.2)
+                drawing.line(origin, tip, {"stroke": "#bbbbbb", "stroke-width": 1.2})
                 wing = [(tip[0] + 7 * dx, tip[1] + 7 * dy)] + [
                     (tip[0] + 3 * side * dy, tip[1] + 3 * side * dx) for side in (-1, 1)
                 ]
-                drawing.polygon(wing, fill="#bbbbbb")
+                drawing.polygon(wing, {"fill": "#bbbbbb"})
                 label = (tip[0] + 12 * dx - 3 * abs(dy), tip[1] + 12 * dy + 3 * abs(dx))
-                drawing.text(label, name, font_size=11.0, fill="#999999")
+                drawing.text(label, name, {"font-size": 11.0, "fill": "#999999"})
 
 
 def _enlargement(nodes: Sequence[GraphNode], scale: float) -> float:
@@ -175,9 +179,8 @@ def _round_down(value: float) -> float:
     )
 
 
-def _draw_ellipse(
-    drawing: Drawing, node: GraphNode, at: tuple[float, float], scale: float, colour: str
-) -> None:
+def _draw_ellipse(drawing: Drawing, node: GraphNode, at: Point, scale: float, colour: str) -> None:
+    """Ellipse that holds 95 % of a position, `scale` pixels to the metre."""
     values, vectors = np.linalg.eigh(node.covariance)
     if values[1] <= 0:
         return
@@ -185,36 +188,34 @@ def _draw_ellipse(
     angle = -np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
     drawing.add(
         "ellipse",
-        cx=at[0],
-        cy=at[1],
-        rx=float(half[1]),
-        ry=float(half[0]),
-        transform=f"rotate({number(angle)} {number(at[0])} {number(at[1])})",
-        fill=colour,
-        fill_opacity=0.15,
-        stroke=colour,
-        stroke_opacity=0.6,
-        stroke_width=0.8,
+        {
+            "cx": at[0],
+            "cy": at[1],
+            "rx": float(half[1]),
+            "ry": float(half[0]),
+            "transform": f"rotate({number(angle)} {number(at[0])} {number(at[1])})",
+            "fill": colour,
+            "fill-opacity": 0.15,
+            "stroke": colour,
+            "stroke-opacity": 0.6,
+            "stroke-width": 0.8,
+        },
     )
 
 
-def _draw_camera(drawing: Drawing, node: GraphNode, at: tuple[float, float], colour: str) -> None:
+def _draw_camera(drawing: Drawing, node: GraphNode, at: Point, colour: str) -> None:
     """Arrow head at the position, pointing where the camera looks."""
     c, s = np.cos(node.yaw), -np.sin(node.yaw)
     outline = [(11.0, 0.0), (-5.0, 5.5), (-2.0, 0.0), (-5.0, -5.5)]
     drawing.polygon(
         [(at[0] + c * x - s * y, at[1] + s * x + c * y) for x, y in outline],
+        {"fill": colour, "stroke": "#ffffff", "stroke-width": 0.6},
         tooltip=f"{node.image}: x {node.x:.3f} m, y {node.y:.3f} m, "
         f"heading {np.degrees(node.yaw):.1f} deg",
-        fill=colour,
-        stroke="#ffffff",
-        stroke_width=0.6,
     )
 
 
-def _draw_labels(
-    drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, tuple[float, float]]
-) -> None:
+def _draw_labels(drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, Point]) -> None:
     """Write each label at the first free place around its image; leave out what does not fit."""
     taken = [(x - 6.0, y - 6.0, x + 6.0, y + 6.0) for x, y in at.values()]
     for node in nodes:
@@ -230,9 +231,7 @@ def _draw_labels(
                 drawing.text(
                     (cx, cy + 0.35 * LABEL_PX),
                     node.label,
-                    font_size=LABEL_PX,
-                    fill="#333333",
-                    text_anchor="middle",
+                    {"font-size": LABEL_PX, "fill": "#333333", "text-anchor": "middle"},
                 )
                 break
 
@@ -249,26 +248,29 @@ def _draw_legend(
     kinds: Sequence[str],
     enlarged: float,
 ) -> None:
+    """Robots, kinds of links, ellipses and the scale bar, down the right side."""
     x, y = sheet.width, MARGIN_PX
-    style: dict[str, str | float] = {"font_size": 12.0, "fill": "#333333"}
+    style: Style = {"font-size": 12.0, "fill": "#333333"}
+    bar: Style = {"stroke": "#333333", "stroke-width": 2.0}
     for robot, colour in colours.items():
-        drawing.polygon([(x + 18, y), (x + 4, y + 5), (x + 7, y), (x + 4, y - 5)], fill=colour)
-        drawing.text((x + 34, y + 4), f"robot {robot}", **style)
+        arrow = [(x + 18, y), (x + 4, y + 5), (x + 7, y), (x + 4, y - 5)]
+        drawing.polygon(arrow, {"fill": colour})
+        drawing.text((x + 34, y + 4), f"robot {robot}", style)
         y += 20.0
     for kind in kinds:
-        drawing.line((x, y), (x + 26, y), **EDGE_STYLES[kind])
-        drawing.text((x + 34, y + 4), kind, **style)
+        drawing.line((x, y), (x + 26, y), EDGE_STYLES[kind])
+        drawing.text((x + 34, y + 4), kind, style)
         y += 20.0
-    drawing.add("ellipse", cx=x + 13, cy=y, rx=12.0, ry=6.0, fill="#999999", fill_opacity=0.2)
-    times = "" if enlarged == 1 else f", {enlarged:g} times enlarged"
-    drawing.text((x + 34, y + 4), "95 % of position", **style)
-    if times:
+    size: Style = {"cx": x + 13, "cy": y, "rx": 12.0, "ry": 6.0}
+    drawing.add("ellipse", {**size, "fill": "#999999", "fill-opacity": 0.2})
+    drawing.text((x + 34, y + 4), "95 % of position", style)
+    if enlarged != 1:
         y += 15.0
-        drawing.text((x + 34, y + 4), times.lstrip(", "), **style)
+        drawing.text((x + 34, y + 4), f"{enlarged:g} times enlarged", style)
     y += 36.0
     length = _round_down(140.0 / sheet.scale)
     end = x + length * sheet.scale
-    drawing.line((x, y), (end, y), stroke="#333333", stroke_width=2.0)
+    drawing.line((x, y), (end, y), bar)
     for tick in (x, end):
-        drawing.line((tick, y - 4), (tick, y + 4), stroke="#333333", stroke_width=2.0)
-    drawing.text((x, y + 18), f"{length:g} m", **style)
+        drawing.line((tick, y - 4), (tick, y + 4), bar)
+    drawing.text((x, y + 18), f"{length:g} m", style)

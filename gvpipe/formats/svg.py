@@ -1,7 +1,13 @@
 """Small SVG drawings: the same input gives the same bytes, and all text is escaped."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from html import escape
+
+Style = Mapping[str, str | float]
+"""SVG attributes; numbers are written by :func:`number`."""
+
+Point = tuple[float, float]
+"""Position in pixels, x right and y down."""
 
 DECIMALS = 2
 """Digits kept of coordinates: a hundredth of a pixel."""
@@ -24,8 +30,6 @@ def number(value: float) -> str:
 class Drawing:
     """An SVG picture that grows element by element, later ones on top.
 
-    Attributes of elements are keyword arguments; ``stroke_width`` becomes ``stroke-width``.
-
     Parameters
     ----------
     width, height : float
@@ -44,43 +48,31 @@ class Drawing:
             f"<title>{escape(title)}</title>",
         ]
 
-    def add(
-        self,
-        element: str,
-        *,
-        text: str | None = None,
-        tooltip: str | None = None,
-        **attributes: str | float,
-    ) -> None:
+    def add(self, element: str, attributes: Style, *, text: str = "", tooltip: str = "") -> None:
         """Append one element; `text` is its content, `tooltip` shows on hovering."""
         written = "".join(
-            f' {name.rstrip("_").replace("_", "-")}="'
-            f'{escape(value) if isinstance(value, str) else number(value)}"'
+            f' {name}="{escape(value) if isinstance(value, str) else number(value)}"'
             for name, value in attributes.items()
         )
-        inside = "" if tooltip is None else f"<title>{escape(tooltip)}</title>"
-        inside += "" if text is None else escape(text, quote=False)
+        inside = f"<title>{escape(tooltip)}</title>" if tooltip else ""
+        inside += escape(text, quote=False)
         self._lines.append(
             f"<{element}{written}>{inside}</{element}>" if inside else f"<{element}{written}/>"
         )
 
-    def line(self, start: Sequence[float], end: Sequence[float], **attributes: str | float) -> None:
+    def line(self, start: Point, end: Point, style: Style) -> None:
         """Draw a straight line between two points."""
-        self.add("line", x1=start[0], y1=start[1], x2=end[0], y2=end[1], **attributes)
+        ends = {"x1": start[0], "y1": start[1], "x2": end[0], "y2": end[1]}
+        self.add("line", {**ends, **style})
 
-    def polygon(
-        self,
-        points: Iterable[Sequence[float]],
-        tooltip: str | None = None,
-        **attributes: str | float,
-    ) -> None:
+    def polygon(self, points: Iterable[Point], style: Style, *, tooltip: str = "") -> None:
         """Draw a closed polygon."""
-        path = " ".join(f"{number(p[0])},{number(p[1])}" for p in points)
-        self.add("polygon", tooltip=tooltip, points=path, **attributes)
+        path = " ".join(f"{number(x)},{number(y)}" for x, y in points)
+        self.add("polygon", {"points": path, **style}, tooltip=tooltip)
 
-    def text(self, at: Sequence[float], text: str, **attributes: str | float) -> None:
+    def text(self, at: Point, text: str, style: Style) -> None:
         """Write text whose baseline starts at a point."""
-        self.add("text", text=text, x=at[0], y=at[1], **attributes)
+        self.add("text", {"x": at[0], "y": at[1], **style}, text=text)
 
     def to_svg(self) -> str:
         """Return the whole document, ending in a newline."""

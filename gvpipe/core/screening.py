@@ -1,0 +1,119 @@
+"""First look at the links: which could be motions over the ground, and which agree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gvpipe.core.consistency import Mask, Placements, agree
+from gvpipe.core.links import Link
+from gvpipe.core.placement import Placement, place
+from gvpipe.core.tracks import Index
+from gvpipe.core.types import Camera, Float, Mount
+
+MIN_POINTS = 8
+"""Matches below which a link is not used: four fix a homography, the rest must confirm it."""
+
+TOLERANCE = 0.02
+"""Share of the camera height by which two placements of the same ground may differ at least."""
+
+TRUST = {"odometry": 4.0, "loop": 1.0, "overlap": 1.0}
+"""Weight in the vote on contradictions: a robot's next picture nearly always shows the same
+ground, while loops and overlaps are found by resemblance."""
+
+HALF_TRUST_POINTS = 50.0
+"""Matches at which a link has half the weight of one with very many."""
+
+MAX_RELATIVE_MISFIT = 0.25
+"""Misfit over extent above which matched points are not a motion over the ground."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Rough positions, and the links that carry them.
+
+    Attributes
+    ----------
+    planar : (N, 3) float64
+        x, y (metres) and heading (radians) of every robot; a frame for each connected part.
+    keep : (E,) bool
+        Links that agree with each other.
+    reasons : list of str
+        Why a link cannot be used at all; empty for the others.
+    """
+
+    planar: Float
+    keep: Mask
+    reasons: list[str]
+
+
+def screen(
+    links: Sequence[Link], ends: Index, cameras: Sequence[Camera], mounts: Sequence[Mount]
+) -> Screened:
+    """Place all images roughly on the ground and find the links that contradict each other.
+
+    Parameters
+    ----------
+    links : sequence of Link
+        E links.
+    ends : (E, 2) int64
+        Numbers of their images.
+    cameras, mounts : sequence of Camera, sequence of Mount
+        The N views.
+
+    Returns
+    -------
+    screened : Screened
+    """
+    placed: list[Placement] = []
+    used = []
+    reasons = [""] * len(links)
+    for k, (i, j) in enumerate(ends.tolist()):
+        verdict = _placed(links[k], (cameras[i], cameras[j]), (mounts[i], mounts[j]))
+        if isinstance(verdict, str):
+            reasons[k] = verdict
+        else:
+            placed.append(verdict)
+            used.append(k)
+    which = np.array(used, dtype=np.int64)
+    heights = np.array([mount.height for mount in mounts])
+    planar, agrees = agree(_placements(links, placed, which, ends, heights), len(mounts))
+    keep = np.zeros(len(links), dtype=bool)
+    keep[which] = agrees
+    return Screened(planar, keep, reasons)
+
+
+def _placed(
+    link: Link, cameras: tuple[Camera, Camera], mounts: tuple[Mount, Mount]
+) -> Placement | str:
+    """Place one link, or say why that is impossible."""
+    if len(link.points_i) < MIN_POINTS:
+        return f"{len(link.points_i)} matches, fewer than {MIN_POINTS}"
+    placement = place(link.points_i, link.points_j, cameras, mounts)
+    if placement is None or placement.radius <= 0:
+        return "the matches do not lie on the ground before both cameras"
+    if placement.misfit > MAX_RELATIVE_MISFIT * placement.radius:
+        return (
+            f"not a motion over the ground: its matches miss by {placement.misfit:.3f} m "
+            f"over an extent of {placement.radius:.3f} m"
+        )
+    return placement
+
+
+def _placements(
+    links: Sequence[Link], placed: list[Placement], used: Index, ends: Index, heights: Float
+) -> Placements:
+    """Lay the placements of the used links out as arrays."""
+    count = np.array([len(links[k].points_i) for k in used.tolist()], dtype=np.float64)
+    kind = np.array([TRUST[links[k].kind] for k in used.tolist()])
+    misfit = np.array([p.misfit for p in placed])
+    return Placements(
+        i=ends[used, 0],
+        j=ends[used, 1],
+        centre_i=np.array([p.centre_i for p in placed]).reshape(-1, 2),
+        centre_j=np.array([p.centre_j for p in placed]).reshape(-1, 2),
+        turn=np.array([p.turn for p in placed]),
+        radius=np.array([p.radius for p in placed]),
+        tolerance=np.hypot(TOLERANCE * heights[ends[used, 0]], misfit),
+        trust=kind * count / (count + HALF_TRUST_POINTS),
+    )

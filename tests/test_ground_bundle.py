@@ -1,0 +1,183 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from gvpipe.core.ground_bundle import Problem
+from gvpipe.core.location_graph import MapOptions, MapResult, build_map
+from gvpipe.core.pose import robot_from_camera, rotation_vector
+from gvpipe.core.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled
+from gvpipe.core.tracks import chain_matches
+from gvpipe.core.types import Float, Mount, Pose
+from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
+
+
+def some_rig(count: int, rng: np.random.Generator) -> tuple[Rig, Float]:
+    mounts = [Mount(tilt=0.6, roll=0.05, height=0.6) for _ in range(count)]
+    rig = Rig(
+        matrix=np.tile([[550.0, 0.0, 321.0], [0.0, 550.0, 242.0], [0.0, 0.0, 1.0]], (count, 1, 1)),
+        robot_from_camera=np.stack([robot_from_camera(m).rotation for m in mounts]),
+        height=np.full(count, 0.6),
+        group=np.zeros(count, dtype=np.int64),
+    )
+    return rig, rng.normal(0.0, [0.2, 0.2, 0.2, 0.05, 0.05, 0.02], (count, 6))
+
+
+def errors(result: MapResult, truth: dict[str, Pose]) -> Float:
+    """Rotation vectors and translations (N, 6) from the estimated to the true poses."""
+    rows = []
+    for image, posed in result.poses.items():
+        estimate = posed.map_from_camera
+        turn = rotation_vector(truth[image].rotation @ estimate.rotation.T)
+        rows.append(np.append(turn, truth[image].translation - estimate.translation))
+    return np.array(rows)
+
+
+def mapped(scene: Scene, options: MapOptions | None = None) -> MapResult:
+    options = MapOptions() if options is None else options
+    return build_map(scene.cameras, scene.mounts, scene.order, scene.links, scene.order[0], options)
+
+
+def test_orientation_derivatives_are_those_of_finite_differences() -> None:
+    rig, cameras = some_rig(4, np.random.default_rng(1))
+    cameras[0, 3:5] = 0.0
+    _, turned = orientation(rig, cameras)
+    step = 1e-6
+    for slot, unknown in enumerate((2, 3, 4)):
+        ahead, behind = cameras.copy(), cameras.copy()
+        ahead[:, unknown] += step
+        behind[:, unknown] -= step
+        difference = (orientation(rig, ahead)[0] - orientation(rig, behind)[0]) / (2 * step)
+        np.testing.assert_allclose(turned[:, slot], difference, atol=1e-8)
+
+
+def test_pose_jacobians_are_those_of_finite_differences() -> None:
+    rig, cameras = some_rig(3, np.random.default_rng(2))
+    step = 1e-6
+    numeric = np.empty((3, 6, 6))
+    for unknown in range(6):
+        ahead, behind = cameras.copy(), cameras.copy()
+        ahead[:, unknown] += step
+        behind[:, unknown] -= step
+        after, before = (orientation(rig, c)[0].transpose(0, 2, 1) for c in (ahead, behind))
+        turn = Rotation.from_matrix(after @ before.transpose(0, 2, 1)).as_rotvec()
+        numeric[:, :3, unknown] = turn / (2 * step)
+        numeric[:, 3:, unknown] = (centres(rig, ahead) - centres(rig, behind)) / (2 * step)
+    np.testing.assert_allclose(pose_jacobians(rig, cameras), numeric, atol=1e-7)
+
+
+def test_normal_equations_point_down_the_cost() -> None:
+    # at the best points the gradient of the reduced system is that of the cost itself
+    scene = make_scene({"A": arc_path(3)}, np.random.default_rng(3), density=20.0)
+    index = {image: k for k, image in enumerate(scene.order)}
+    tracks = chain_matches(
+        [(index[x.image_i], index[x.image_j]) for x in scene.links],
+        [(x.points_i, x.points_j) for x in scene.links],
+    )
+    rig, noise = some_rig(3, np.random.default_rng(4))
+    cameras = 0.02 * noise + np.column_stack([arc_path(3), np.zeros((3, 3))])
+    spread = Spread(np.full((1, 3), 0.05), np.full((1, 3), 0.05), np.array([-1]))
+    problem = Problem(rig, tracks, 0)
+    means = np.array([[0.01, -0.02, 0.003]])
+    state = State(cameras, means, problem.initial_points(cameras))
+    for _ in range(50):
+        _, _, elimination = problem._linearise(state, spread, 3.0, 0.7)
+        state = problem._moved(state, np.zeros(21), elimination)
+    _, gradient, _ = problem._linearise(state, spread, 3.0, 0.7)
+    step = 1e-6
+    for k in range(21):
+        move = np.zeros(21)
+        move[k] = step
+        costs = []
+        for sign in (1.0, -1.0):
+            moved = State(
+                state.cameras + sign * move[:18].reshape(3, 6),
+                state.means + sign * move[18:].reshape(1, 3),
+                state.points,
+            )
+            costs.append(problem.cost(moved, spread, 3.0, 0.7))
+        numeric = (costs[0] - costs[1]) / (2 * step)
+        assert 2.0 * gradient[k] == pytest.approx(numeric, rel=1e-4, abs=1e-3)
+
+
+def test_rescaling_leaves_the_residuals_alone_and_serves_the_priors() -> None:
+    scene = make_scene({"A": arc_path(3)}, np.random.default_rng(5), density=20.0)
+    tracks = chain_matches([(0, 1)], [(scene.links[0].points_i, scene.links[0].points_j)])
+    rig, cameras = some_rig(3, np.random.default_rng(6))
+    problem = Problem(rig, tracks, 0)
+    spread = Spread(np.full((1, 3), 0.05), np.full((1, 3), 0.05), np.array([-1]))
+    state = State(cameras, np.full((1, 3), 0.02), problem.initial_points(cameras))
+    scaled = rescaled(state, spread)
+    np.testing.assert_allclose(problem.misfits(scaled), problem.misfits(state), rtol=1e-9)
+    assert problem.cost(scaled, spread, 3.0, 1.0) < problem.cost(state, spread, 3.0, 1.0)
+
+
+def test_chains_join_pairs_that_share_corners() -> None:
+    a = np.array([[10.0, 10.0], [50.0, 60.0], [90.0, 20.0]])
+    b, c = a + 5.0, a + 9.0
+    tracks = chain_matches([(0, 1), (1, 2)], [(a, b), (b[:2], c[:2])])
+    assert sorted(np.diff(tracks.start).tolist()) == [2, 3, 3]
+    assert len(tracks.camera) == 8
+
+
+def test_a_chain_that_meets_an_image_twice_falls_apart() -> None:
+    a, b, c = np.array([[10.0, 10.0]]), np.array([[20.0, 20.0]]), np.array([[30.0, 30.0]])
+    elsewhere = np.array([[400.0, 300.0]])
+    tracks = chain_matches([(0, 1), (1, 2), (0, 2)], [(a, b), (b, c), (elsewhere, c)])
+    assert np.diff(tracks.start).tolist() == [2, 2, 2]
+    pairs = {tuple(tracks.camera[s : s + 2].tolist()) for s in tracks.start[:-1]}
+    assert pairs == {(0, 1), (1, 2), (0, 2)}
+
+
+def test_exact_matches_give_exact_poses() -> None:
+    scene = make_scene(
+        {"A": arc_path(6)}, np.random.default_rng(7), noise_px=0.0, shake=0.02, bounce=0.0
+    )
+    found = errors(mapped(scene), true_map(scene, "A/0000.jpg"))
+    assert np.abs(found).max() < 1e-4
+
+
+def test_the_covariance_is_honest() -> None:
+    # normalised squared errors of 6 numbers a pose, averaged over runs: chi-squared
+    runs, images = 24, 7
+    squares = np.zeros(images - 1)
+    for seed in range(runs):
+        scene = make_scene(
+            {"A": loop_path(images, radius=0.5)},
+            np.random.default_rng(seed),
+            density=50.0,
+            scale_sigma=0.005,
+            wrong_matches=0.01,
+        )
+        result = mapped(scene)
+        found = errors(result, true_map(scene, "A/0000.jpg"))[1:]
+        covariances = [posed.covariance for posed in result.poses.values()][1:]
+        squares += [e @ np.linalg.solve(c, e) for e, c in zip(found, covariances, strict=True)]
+    low, high = chi2.ppf([0.001, 0.999], 6 * runs) / (6 * runs)
+    assert ((low < squares / (6 * runs)) & (squares / (6 * runs) < high)).all(), squares
+
+
+def test_heights_taken_by_hand_are_scaled_by_the_first_picture() -> None:
+    scene = make_scene(
+        {"A": loop_path(12, radius=0.5)},
+        np.random.default_rng(8),
+        bounce=0.06,
+        shake=np.radians(3.0),
+    )
+    # the user measured the first picture's height
+    first = scene.poses["A/0000.jpg"].translation[2]
+    mounts = {
+        image: Mount(tilt=m.tilt, roll=m.roll, height=first) for image, m in scene.mounts.items()
+    }
+    result = build_map(scene.cameras, mounts, scene.order, scene.links, "A/0000.jpg", MapOptions())
+    found = errors(result, true_map(scene, "A/0000.jpg"))
+    assert np.linalg.norm(found[:, 3:], axis=1).max() < 0.01
+
+
+def test_a_robot_s_height_is_the_mean_of_its_pictures() -> None:
+    scene = make_scene({"A": loop_path(16)}, np.random.default_rng(9), bounce=0.002)
+    result = mapped(scene)
+    heights = [posed.map_from_camera.translation[2] for posed in result.poses.values()]
+    assert np.mean(heights) == pytest.approx(0.6, rel=5e-4)
+    found = errors(result, true_map(scene, "A/0000.jpg"))
+    assert np.sqrt((found[:, 3:] ** 2).sum(axis=1).mean()) < 0.006

@@ -1,0 +1,174 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gvpipe.core.links import Link, link_kind
+from gvpipe.core.location_graph import MapOptions, build_map
+from gvpipe.core.loops import gap_candidates, loop_candidates
+from gvpipe.core.pose import yaw_tilt_roll
+from gvpipe.core.types import Float, Mount
+from tests.slam_scene import (
+    Scene,
+    arc_path,
+    loop_path,
+    make_scene,
+    replace_links,
+    true_map,
+)
+from tests.test_ground_bundle import errors, mapped
+
+
+def rms_m(found: Float) -> float:
+    return float(np.sqrt((found[:, 3:] ** 2).sum(axis=1).mean()))
+
+
+@pytest.fixture(scope="module")
+def patrol() -> Scene:
+    return make_scene({"A": loop_path(20)}, np.random.default_rng(1), wrong_matches=0.02)
+
+
+@pytest.fixture(scope="module")
+def team() -> Scene:
+    there = arc_path(8)
+    back = there[::-1] + np.array([0.3, 0.6, np.pi])
+    return make_scene({"A": there, "B": back}, np.random.default_rng(2))
+
+
+def test_the_map_frame_is_that_of_the_reference(patrol: Scene) -> None:
+    result = build_map(
+        patrol.cameras, patrol.mounts, patrol.order, patrol.links, "A/0003.jpg", MapOptions()
+    )
+    pose = result.poses["A/0003.jpg"].map_from_camera
+    assert pose.translation[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert yaw_tilt_roll(pose.rotation)[0] == pytest.approx(0.0, abs=1e-12)
+    assert rms_m(errors(result, true_map(patrol, "A/0003.jpg"))) < 0.005
+    covariance = result.poses["A/0003.jpg"].covariance
+    assert np.allclose(covariance[[3, 4]], 0.0, atol=1e-15)
+
+
+def test_a_closed_loop_closes(patrol: Scene) -> None:
+    result = mapped(patrol)
+    assert len(result.components) == 1
+    assert all(link.kept for link in result.links)
+    longest = result.closures[0]
+    assert longest.chain_links >= 15
+    assert longest.optimised_m < 0.5 * longest.concatenated_m
+
+
+def test_robots_meet_in_one_map(team: Scene) -> None:
+    kinds = {link.kind for link in team.links}
+    assert "overlap" in kinds
+    result = mapped(team)
+    assert len(result.poses) == 16
+    assert rms_m(errors(result, true_map(team, "A/0000.jpg"))) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_links_are_found_out(patrol: Scene, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wrong = rng.choice(len(patrol.links), max(1, len(patrol.links) // 20), replace=False)
+    spoiled = replace(patrol, links=replace_links(patrol.links, wrong.tolist(), rng))
+    result = mapped(spoiled)
+    truth = true_map(patrol, "A/0000.jpg")
+    assert not any(result.links[k].kept for k in wrong)
+    assert all(result.links[k].reason for k in wrong)
+    before = rms_m(errors(mapped(patrol), truth))
+    assert rms_m(errors(result, truth)) == pytest.approx(before, rel=0.2)
+
+
+def test_matches_of_anything_but_the_ground_are_refused(patrol: Scene) -> None:
+    rng = np.random.default_rng(5)
+    link = patrol.links[0]
+    noise = replace(link, points_j=rng.uniform(0, 400, link.points_j.shape))
+    result = mapped(replace(patrol, links=[noise, *patrol.links[1:]]))
+    assert not result.links[0].kept
+    assert "not a motion over the ground" in result.links[0].reason
+
+
+def test_what_is_not_connected_stays_apart(team: Scene) -> None:
+    apart = replace(team, links=[link for link in team.links if link.kind != "overlap"])
+    result = mapped(apart)
+    assert [len(images) for images in result.components] == [8, 8]
+    assert {result.poses[image].component for image in result.components[1]} == {1}
+    home = result.poses["B/0000.jpg"].map_from_camera
+    assert home.translation[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_an_image_without_links_is_not_registered(patrol: Scene) -> None:
+    lonely = "A/0007.jpg"
+    links = [x for x in patrol.links if lonely not in (x.image_i, x.image_j)]
+    result = mapped(replace(patrol, links=links))
+    assert result.unregistered == ((lonely, "no link to another image"),)
+    assert lonely not in result.poses
+    assert len(result.poses) == 19
+
+
+def test_images_can_be_missing(patrol: Scene) -> None:
+    gone = {"A/0002.jpg", "A/0009.jpg", "A/0015.jpg"}
+    scene = Scene(
+        cameras=patrol.cameras,
+        mounts=patrol.mounts,
+        poses={image: pose for image, pose in patrol.poses.items() if image not in gone},
+        links=[x for x in patrol.links if not {x.image_i, x.image_j} & gone],
+    )
+    result = mapped(scene)
+    assert len(result.poses) == 17
+    assert rms_m(errors(result, true_map(scene, "A/0000.jpg"))) < 0.005
+
+
+def test_an_unknown_tilt_is_found(patrol: Scene) -> None:
+    guess = Mount(tilt=np.radians(60.0), roll=0.0, height=0.6, tilt_known=False)
+    scene = replace(patrol, mounts=dict.fromkeys(patrol.order, guess))
+    result = mapped(scene)
+    assert rms_m(errors(result, true_map(scene, "A/0000.jpg"))) < 0.005
+
+
+def test_one_image_is_a_map() -> None:
+    scene = make_scene({"A": arc_path(1)}, np.random.default_rng(3), density=1.0)
+    result = mapped(scene)
+    assert list(result.poses) == ["A/0000.jpg"]
+    assert result.poses["A/0000.jpg"].map_from_camera.translation[2] == pytest.approx(0.6)
+
+
+def test_strangers_are_an_error(patrol: Scene) -> None:
+    with pytest.raises(ValueError, match="not among the images"):
+        build_map(
+            patrol.cameras, patrol.mounts, patrol.order, patrol.links, "A/9.jpg", MapOptions()
+        )
+
+
+def test_the_result_does_not_depend_on_the_run(patrol: Scene) -> None:
+    one, two = mapped(patrol), mapped(patrol)
+    for image, posed in one.poses.items():
+        other = two.poses[image]
+        assert (posed.map_from_camera.rotation == other.map_from_camera.rotation).all()
+        assert (posed.covariance == other.covariance).all()
+
+
+def test_kinds_of_links() -> None:
+    order = [f"A/{k}.jpg" for k in range(9)] + ["B/0.jpg"]
+    assert link_kind(order, "A/0.jpg", "A/1.jpg") == "odometry"
+    assert link_kind(order, "A/8.jpg", "A/0.jpg") == "loop"
+    assert link_kind(order, "A/0.jpg", "B/0.jpg") == "overlap"
+
+
+def test_loops_are_proposed_where_footprints_overlap(patrol: Scene) -> None:
+    poses = true_map(patrol, "A/0000.jpg")
+    odometry: list[Link] = [x for x in patrol.links if x.kind == "odometry"]
+    linked = [(x.image_j, x.image_i) for x in odometry]
+    found = loop_candidates(patrol.cameras, poses, linked, min_share=0.1, max_per_image=3)
+    shares = [c.share for c in found]
+    assert shares == sorted(shares, reverse=True)
+    pairs = {frozenset((c.image_i, c.image_j)) for c in found}
+    assert frozenset(("A/0000.jpg", "A/0019.jpg")) in pairs
+    assert not pairs & {frozenset(pair) for pair in linked}
+    counts = [sum(image in pair for pair in pairs) for image in poses]
+    assert max(counts) <= 3
+
+
+def test_gaps_in_a_chain_are_bridged() -> None:
+    order = ["A/0.jpg", "A/1.jpg", "A/2.jpg", "A/3.jpg", "B/0.jpg"]
+    found = gap_candidates(order, [("A/0.jpg", "A/1.jpg")], [("A/1.jpg", "A/2.jpg")], max_gap=2)
+    pairs = [(c.image_i, c.image_j) for c in found]
+    assert pairs == [("A/2.jpg", "A/3.jpg"), ("A/0.jpg", "A/2.jpg"), ("A/1.jpg", "A/3.jpg")]
