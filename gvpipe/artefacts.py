@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 import shutil
 import tempfile
@@ -17,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from gvpipe.errors import InputError, OutputError
+from gvpipe.errors import InputError
+from gvpipe.output import refuse_link, sync
 from gvpipe.records import Body, Header
 
 SCHEMA_VERSION = 1
@@ -222,16 +222,16 @@ def publish(staged: Path, folder: Path, header: Header, body: Body) -> None:
     }
     json_name = body.file
     (staged / json_name).write_text(canonical_json(document), encoding="utf-8")
-    if folder.is_symlink():
-        raise OutputError(f"{folder}: is a symbolic link; artefacts are not written through links")
+    refuse_link(folder)
     folder.mkdir(parents=True, exist_ok=True)
     outdated = _files_of_previous(folder / json_name) - files.keys()
+    for name in [*files, json_name]:  # a full disk shows here, before anything is replaced
+        sync(staged / name)
     for name in [*files, json_name]:
-        _sync(staged / name)
         (staged / name).replace(folder / name)
     for name in outdated:
         (folder / name).unlink(missing_ok=True)
-    _sync(folder)
+    sync(folder)
 
 
 def _files_of_previous(json_path: Path) -> set[str]:
@@ -242,15 +242,6 @@ def _files_of_previous(json_path: Path) -> set[str]:
         return set()
     names = listed if isinstance(listed, dict) else {}
     return {name for name in names if re.fullmatch(r"[^/\x00]+", name) and name not in (".", "..")}
-
-
-def _sync(path: Path) -> None:
-    """Force a file or folder to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def schema_of(body: type[Body]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
 from gvpipe.core.features import Features, MatchOptions
 from gvpipe.core.matching import extract, match_views
@@ -51,6 +52,7 @@ def match_pairs(
     *,
     seed: int,
     jobs: int,
+    checkpoints: Checkpoints,
     on_step: Callable[[], object],
 ) -> Iterator[PairMatch | Rejected]:
     """Yield the verdict on each pair, in order.
@@ -67,33 +69,63 @@ def match_pairs(
         With the two ids it fixes all random choices of a pair.
     jobs : int
         Worker processes.
+    checkpoints : Checkpoints
+        Verdicts of an earlier run; every new one is added.
     on_step : callable
         Called once an image and once a pair.
     """
+    keys = {(i, j): _key(checkpoints, dataset, i, j, options, seed) for i, j in pairs}
+    known: dict[tuple[str, str], PairMatch | Rejected | None] = {
+        pair: checkpoints.load(key, PairMatch, Rejected) for pair, key in keys.items()
+    }
     images = list(dict.fromkeys(image for pair in pairs for image in pair))
+    wanted = {image for pair in pairs if known[pair] is None for image in pair}
     with Workers(_Shared(dataset, options, seed), jobs) as workers:
         features: dict[str, Features | Crashed[str]] = {}
-        for image, result in zip(images, workers.map(_extract, images), strict=True):
-            features[image] = result
+        extracted = workers.map(_extract, [image for image in images if image in wanted])
+        for image in images:
+            if image in wanted:
+                features[image] = next(extracted)
             on_step()
         usable = [
             _Task(i, j, fi, fj)
             for i, j in pairs
-            if not isinstance(fi := features[i], Crashed)
+            if known[i, j] is None
+            and not isinstance(fi := features[i], Crashed)
             and not isinstance(fj := features[j], Crashed)
         ]
         verdicts = workers.map(_match, usable)
-        for i, j in pairs:
+        for pair in pairs:
             on_step()
-            crashed = [k for k in (i, j) if isinstance(features[k], Crashed)]
+            if (verdict := known[pair]) is not None:
+                yield verdict
+                continue
+            crashed = [image for image in pair if isinstance(features[image], Crashed)]
             if crashed:
                 yield Rejected(f"the worker process died twice on {crashed[0]}")
                 continue
-            verdict = next(verdicts)
-            if isinstance(verdict, Crashed):
+            result = next(verdicts)
+            if isinstance(result, Crashed):
                 yield Rejected("the worker process died twice on this pair")
-            else:
-                yield verdict
+                continue
+            checkpoints.save(keys[pair], result)
+            yield result
+
+
+def _key(
+    checkpoints: Checkpoints,
+    dataset: Dataset,
+    image_i: str,
+    image_j: str,
+    options: MatchOptions,
+    seed: int,
+) -> str:
+    """Name all that decides the verdict on a pair."""
+    views = [
+        (e.image_id, e.sha256, e.source.frame, e.camera, e.source.distortion, e.mount)
+        for e in (dataset.entry(image_i), dataset.entry(image_j))
+    ]
+    return checkpoints.key("pair", views, options, seed)
 
 
 def _extract(shared: _Shared, image: str) -> Features:

@@ -1,22 +1,20 @@
 """Run one stage: check what it needs, skip it if fresh, else compute and publish."""
 
-import errno
-import fcntl
 import importlib
-import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
 from gvpipe import __version__
 from gvpipe.artefacts import Artefact, publish, read_artefact, schema_of, staging
+from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
 from gvpipe.configfile import section_sha256
 from gvpipe.dataset import Dataset, open_dataset
-from gvpipe.errors import InputError, NoResultError, OutputError
+from gvpipe.errors import InputError, NoResultError
+from gvpipe.names import escape
+from gvpipe.output import locked, writing_to
 from gvpipe.records import Body, Header, SkippedImage
 from gvpipe.report import Reporter, log
 from gvpipe.stages.contract import Context, Stage
@@ -116,19 +114,29 @@ def run_stage(
         See :mod:`gvpipe.errors`.
     """
     out = Path(config.output)
-    with _writing_to(out), _lock(out, name):
+    with writing_to(out):
+        out.mkdir(parents=True, exist_ok=True)
+    with locked(out, name):
         started = time.monotonic()
-        dataset = open_dataset(config, jobs=jobs)
-        for skipped in dataset.skipped:
-            log.warning("skipped %s: %s", skipped.image, skipped.reason)
+        dataset = _opened(config, jobs)
         chain = _Chain(config, dataset)
         upstream = chain.needed(name)
         expected = chain.expectation(name)
-        if not force and _reuse(chain.folder(name), name, expected, reporter):
-            return
+        folder = chain.folder(name)
+        checkpoints = Checkpoints(out / f".{name}.checkpoints")
+        fresh = None if force else _fresh(folder, name, expected)
+        if fresh:
+            checkpoints.sweep()  # a run killed right after it had published left them
+            with writing_to(folder):
+                (folder / fresh.body.file).touch()  # Make goes by time
+            unchanged = ("fresh", "nothing has changed since it was made")
+            reporter.result(f"gvpipe {name}", (unchanged,), [])
+            return _conclude(name, fresh.header.reason)
+        if force:
+            checkpoints.sweep()
+        context = Context(config, dataset, upstream, jobs, reporter.progress, checkpoints)
         stage = stage_module(name)
-        outcome = stage.run(Context(config, dataset, upstream, jobs, reporter.progress))
-        unreadable = tuple(SkippedImage(image=s.image, reason=s.reason) for s in dataset.skipped)
+        outcome = stage.run(context)
         header = Header(
             schema_id=schema_of(stage.BODY),
             gvpipe_version=__version__,
@@ -138,68 +146,54 @@ def run_stage(
             seed=config.seed,
             scale_source=_scale_source(dataset),
             wall_s=round(time.monotonic() - started, 3),
-            skipped=unreadable + outcome.skipped,
+            skipped=_unreadable(dataset) + outcome.skipped,
             reason=outcome.no_result,
         )
-        with staging(out, name) as folder:
-            stage.write(outcome, folder)
-            names = sorted(p.name for p in folder.iterdir())
-            publish(folder, chain.folder(name), header, outcome.body)
-    paths = [chain.folder(name) / n for n in (outcome.body.file, *names)]
-    used = ("images", f"{len(dataset.entries)} used, {len(header.skipped)} skipped")
-    timing = ("time", f"{time.monotonic() - started:.1f} s")
-    reporter.result(f"gvpipe {name}", (used, *outcome.summary, timing), paths)
-    if outcome.no_result:
-        raise NoResultError(f"{name}: no result: {outcome.no_result}")
+        with writing_to(folder), staging(out, name) as staged:
+            stage.write(outcome, staged)
+            names = sorted(p.name for p in staged.iterdir())
+            publish(staged, folder, header, outcome.body)
+        checkpoints.sweep()
+    rows = [
+        ("images", f"{len(dataset.entries)} used, {len(header.skipped)} skipped"),
+        *outcome.summary,
+        ("time", f"{time.monotonic() - started:.1f} s"),
+    ]
+    if checkpoints.reused:
+        rows.append(("resumed", f"{checkpoints.reused} items were done by an interrupted run"))
+    reporter.result(f"gvpipe {name}", rows, [folder / n for n in (outcome.body.file, *names)])
+    return _conclude(name, outcome.no_result)
 
 
-def _reuse(folder: Path, name: str, expected: _Expectation, reporter: Reporter) -> bool:
-    """Keep a fresh artefact; touch it, since Make goes by time."""
-    body = stage_module(name).BODY
+def _conclude(name: str, no_result: str | None) -> None:
+    """End without an error only if there is a result."""
+    if no_result:
+        raise NoResultError(f"{name}: no result: {no_result}")
+
+
+def _opened(config: Config, jobs: int) -> Dataset:
+    """Open the images, and say which cannot be used."""
     try:
-        artefact = read_artefact(folder, body)
+        dataset = open_dataset(config, jobs=jobs)
+    except OSError as error:
+        raise InputError(f"{escape(str(error.filename))}: {error.strerror}") from error
+    for skipped in dataset.skipped:
+        log.warning("skipped %s: %s", skipped.image, skipped.reason)
+    return dataset
+
+
+def _unreadable(dataset: Dataset) -> tuple[SkippedImage, ...]:
+    return tuple(SkippedImage(image=s.image, reason=s.reason) for s in dataset.skipped)
+
+
+def _fresh(folder: Path, name: str, expected: _Expectation) -> Artefact[Any] | None:
+    """Read the artefact that is there, if it is what would be made."""
+    try:
+        artefact = read_artefact(folder, stage_module(name).BODY)
     except InputError:
-        return False
-    if expected.mismatch(artefact.header):
-        return False
-    (folder / body.file).touch()
-    reporter.result(f"gvpipe {name}", (("fresh", "nothing has changed since it was made"),), [])
-    if artefact.header.reason:
-        raise NoResultError(f"{name}: no result: {artefact.header.reason}")
-    return True
+        return None
+    return None if expected.mismatch(artefact.header) else artefact
 
 
 def _scale_source(dataset: Dataset) -> Literal["height", "poses"]:
     return "poses" if dataset.poses else "height"
-
-
-@contextmanager
-def _writing_to(out: Path) -> Iterator[None]:
-    """Turn failures to write into :class:`OutputError`; inputs raise their own errors."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as error:
-        where = error.filename or out
-        what = os.strerror(error.errno) if error.errno else str(error)
-        raise OutputError(f"{where}: cannot be written: {what}") from error
-
-
-@contextmanager
-def _lock(out: Path, stage: str) -> Iterator[None]:
-    """Let one process at a time write a stage's artefact; the lock ends with its process."""
-    path = out / f".{stage}.lock"
-    with path.open("a+") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in (errno.EACCES, errno.EAGAIN):
-                raise
-            stream.seek(0)
-            holder = stream.read().strip() or "another process"
-            raise OutputError(f"{path}: locked by {holder}") from None
-        stream.truncate(0)
-        stream.write(f"process {os.getpid()}\n")
-        stream.flush()
-        yield
-        stream.truncate(0)

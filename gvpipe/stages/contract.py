@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 from gvpipe.artefacts import Artefact
+from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
 from gvpipe.core.types import Pose, PosedView
 from gvpipe.dataset import Dataset
@@ -40,6 +41,8 @@ class Context:
         Worker processes or threads it may use; results do not depend on it.
     progress : callable
         ``progress(what, total)`` gives a context manager with a ticker.
+    checkpoints : Checkpoints
+        Finished items of an interrupted run.
     """
 
     config: Config
@@ -47,6 +50,7 @@ class Context:
     upstream: Mapping[str, Artefact[Any]]
     jobs: int
     progress: Callable[[str, int], AbstractContextManager[Ticker]]
+    checkpoints: Checkpoints
 
     def artefact(self, body: type[B]) -> Artefact[B]:
         """Return the artefact of the stage that writes `body`."""

@@ -71,6 +71,7 @@ def run(context: Context) -> Outcome[MatchBody, MatchPoints]:
                 options_from(context.config),
                 seed=context.config.seed,
                 jobs=context.jobs,
+                checkpoints=context.checkpoints,
                 on_step=ticker.advance,
             )
         )

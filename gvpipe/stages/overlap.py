@@ -79,6 +79,7 @@ def run(context: Context) -> Outcome[OverlapBody, Arrays]:
             options_from(config),
             seed=config.seed,
             jobs=context.jobs,
+            checkpoints=context.checkpoints,
             on_step=ticker.advance,
         )
         found = [(meeting, [next(verdicts) for _ in meeting.pairs]) for meeting in meetings]

@@ -66,7 +66,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     with context.progress("reconstruct", len(regions)) as ticker:
         for region in regions:
             grid = _grid(region, views, settings.grid)
-            evolution = METHODS[settings.method](grid, views, shapes, settings)
+            evolution = _volume(context, grid, views, shapes)
             volumes.append(Volume(grid, evolution))
             ticker.advance()
     found = [o for v in volumes for o in find_obstacles(v.evolution.u, v.grid)]
@@ -98,6 +98,24 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
         no_result=None if rows else "nothing stands on the ground that enough views see",
         summary=(("obstacles", str(len(rows))), *summary),
     )
+
+
+def _volume(
+    context: Context,
+    grid: VoxelGrid,
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+) -> Evolution:
+    """Evolve one region, unless an interrupted run has done so."""
+    settings = context.config.reconstruct
+    seen = [context.artefact(SlamBody).digest, context.artefact(MosaicBody).digest]
+    where = (grid.origin.tolist(), grid.spacing.tolist(), grid.shape)
+    key = context.checkpoints.key("region", seen, settings.model_dump_json(), where)
+    evolution: Evolution | None = context.checkpoints.load(key, Evolution)
+    if evolution is None:
+        evolution = METHODS[settings.method](grid, views, shapes, settings)
+        context.checkpoints.save(key, evolution)
+    return evolution
 
 
 def write(outcome: Outcome[ReconstructBody, Reconstruction], folder: Path) -> None:

@@ -165,6 +165,7 @@ def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
             options_from(context.config),
             seed=context.config.seed,
             jobs=context.jobs,
+            checkpoints=context.checkpoints,
             on_step=ticker.advance,
         )
         for pair, verdict in zip(pairs, verdicts, strict=True):
