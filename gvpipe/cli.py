@@ -13,6 +13,7 @@ from typer.core import TyperCommand
 
 from gvpipe import __version__
 from gvpipe.errors import GvpipeError, UsageError
+from gvpipe.tools import add_tools
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
 
@@ -130,6 +131,8 @@ def _stage_command(name: str) -> Callable[..., None]:
 for _name, _help in COMMANDS.items():
     _example = f"Example: gvpipe {_name} configs/example.yaml --jobs 2"
     app.command(_name, cls=StageCommand, help=_help, epilog=_example)(_stage_command(_name))
+
+add_tools(app)
 
 
 @config_app.command("show", epilog="Example: gvpipe config show configs/example.yaml")

@@ -20,6 +20,8 @@ LAYERS: list[set[str]] = [
     {"gvpipe.pairing"},
     {"gvpipe.stages", "gvpipe.report"},
     {"gvpipe.runner"},
+    {"gvpipe.commands"},
+    {"gvpipe.tools"},
     {"gvpipe.cli"},
     {"gvpipe.__main__"},
 ]

@@ -1,0 +1,150 @@
+"""Command lines of the tools around the chain; what they do is in :mod:`gvpipe.commands`."""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gvpipe.errors import UsageError
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")]
+LogJson = Annotated[bool, typer.Option("--log-json", help="Log as JSON lines on standard error.")]
+
+
+def add_tools(app: typer.Typer) -> None:
+    """Give the command line its tools."""
+    app.command(
+        "synth",
+        help="Render photographs of a made-up scene with known truth. Says how much ground "
+        "consecutive pictures share and how large a pixel is on the ground, so that height, tilt "
+        "and spacing can be tried before driving.",
+        epilog="Example: gvpipe synth trial --path line --images 12 --spacing 0.3 --tilt 35",
+    )(synth)
+
+
+def _option(name: str, help_text: str, **more: object) -> typer.models.OptionInfo:
+    """Make an option, its help first."""
+    option: typer.models.OptionInfo = typer.Option(name, help=help_text, **more)  # type: ignore[arg-type]
+    return option
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Read ``640x480``."""
+    width, cross, height = text.partition("x")
+    if not cross or not width.isdecimal() or not height.isdecimal():
+        raise UsageError(f"--size {text!r}: expected WIDTHxHEIGHT in pixels, for example 640x480")
+    size = int(width), int(height)
+    if not all(16 <= side <= 8192 for side in size):
+        raise UsageError(f"--size {text}: expected 16 to 8192 pixels along each side")
+    return size
+
+
+def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
+    """Read numbers between commas."""
+    try:
+        values = tuple(float(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        values = (math.nan,)
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        wanted = " or ".join(map(str, counts))
+        raise UsageError(f"{name} {text!r}: expected {wanted} numbers with commas between")
+    return values
+
+
+def synth(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="New folder for pictures, truth and CONFIG.")
+    ],
+    path: Annotated[
+        str, _option("--path", "circle, line, mower (to and fro), or a TUM file of camera poses.")
+    ] = "circle",
+    images: Annotated[int, _option("--images", "Pictures in all.", min=1, max=9999)] = 12,
+    robots: Annotated[int, _option("--robots", "Robots that share the path.", min=1, max=26)] = 1,
+    radius: Annotated[
+        float | None,
+        _option(
+            "--radius",
+            "Of the circle, metres.",
+            min=0.01,
+            show_default="the camera looks at its middle",
+        ),
+    ] = None,
+    spacing: Annotated[
+        float, _option("--spacing", "Between stops, and rows of the mower, metres.", min=0.001)
+    ] = 0.25,
+    rows: Annotated[int, _option("--rows", "Rows of the mower.", min=1)] = 3,
+    height: Annotated[
+        float, _option("--height", "Camera above the ground, metres.", min=0.01, max=1000)
+    ] = 0.6,
+    tilt: Annotated[
+        float, _option("--tilt", "Optical axis below the horizon, degrees.", min=0.1, max=90)
+    ] = 40.0,
+    roll: Annotated[
+        float, _option("--roll", "About the optical axis, degrees.", min=-44, max=44)
+    ] = 0.0,
+    shake: Annotated[
+        float, _option("--shake", "How much tilt, roll and heading vary, degrees.", min=0, max=10)
+    ] = 0.0,
+    size: Annotated[str, _option("--size", "Of the pictures, pixels.")] = "640x480",
+    fov: Annotated[
+        float, _option("--fov", "Horizontal field of view, degrees.", min=5, max=140)
+    ] = 63.0,
+    distortion: Annotated[
+        str, _option("--distortion", "Lens, OpenCV order: k1,k2,p1,p2[,k3].")
+    ] = "",
+    box: Annotated[
+        list[str] | None, _option("--box", "X,Y,WIDTH,DEPTH,HEIGHT[,YAW]; may be repeated.")
+    ] = None,
+    cylinder: Annotated[
+        list[str] | None, _option("--cylinder", "X,Y,RADIUS,HEIGHT; may be repeated.")
+    ] = None,
+    sphere: Annotated[list[str] | None, _option("--sphere", "X,Y,RADIUS; may be repeated.")] = None,
+    empty: Annotated[
+        bool, _option("--empty", "Nothing stands on the ground; else one of each.")
+    ] = False,
+    ground: Annotated[
+        str, _option("--ground", "stone, carpet, tiles, wood, or a picture of your floor.")
+    ] = "stone",
+    noise: Annotated[float, _option("--noise", "Sensor noise, grey levels.", min=0, max=100)] = 1.5,
+    png: Annotated[bool, _option("--png", "Write PNG, not JPEG.")] = False,
+    seed: Annotated[int, _option("--seed", "Same seed, same pictures.", min=0)] = 0,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    log_json: LogJson = False,
+) -> None:
+    """Render photographs of a made-up scene, to plan a capture or to test."""
+    from gvpipe.commands.synth import Plan, default_solids, parse_solid, run
+    from gvpipe.core.solids import KINDS
+    from gvpipe.core.types import Camera, Mount
+    from gvpipe.report import Reporter
+
+    width, rows_px = _size(size)
+    focal = 0.5 * width / math.tan(math.radians(fov) / 2)
+    given = [
+        (kind, text)
+        for kind in KINDS
+        for text in {"box": box, "cylinder": cylinder, "sphere": sphere}[kind] or ()
+    ]
+    if empty and given:
+        raise UsageError("--empty excludes --box, --cylinder and --sphere")
+    solids = tuple(parse_solid(kind, text, k) for k, (kind, text) in enumerate(given))
+    plan = Plan(
+        solids=() if empty else solids or default_solids(),
+        ground=ground,
+        path=path,
+        images=images,
+        robots=robots,
+        rows=rows,
+        radius=radius or height / math.tan(math.radians(min(tilt, 80.0))),
+        spacing=spacing,
+        camera=Camera(width, rows_px, focal, focal, (width - 1) / 2, (rows_px - 1) / 2),
+        distortion=_numbers("--distortion", distortion, (0, 4, 5, 8)),
+        mount=Mount(math.radians(tilt), math.radians(roll), height),
+        shake=math.radians(shake),
+        noise=noise,
+        seed=seed,
+        png=png,
+    )
+    run(plan, folder, Reporter(quiet=quiet, verbose=verbose, log_json=log_json))
