@@ -17,19 +17,24 @@ from gvpipe.core.evidence import Region, data_terms, find_regions
 from gvpipe.core.grid import VoxelGrid
 from gvpipe.core.levelset import Evolution, evolve
 from gvpipe.core.mesh import Obstacle, PointCloud, find_obstacles, join
+from gvpipe.core.render import turntable
 from gvpipe.core.silhouette import EvidenceOptions, Silhouette, silhouettes
 from gvpipe.core.types import PosedView
 from gvpipe.core.visibility import colour, surface_points
 from gvpipe.errors import InputError
 from gvpipe.formats.ply import write_mesh, write_points
+from gvpipe.formats.raster import png_bytes
 from gvpipe.records import Body, MosaicBody, ObstacleRow, ReconstructBody, SlamBody
 from gvpipe.stages.contract import Context, Outcome, posed_views
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "mosaic", "reconstruct", "seed")
 BODY = ReconstructBody
 
+TURNTABLE_VIEWS = 4
+"""Pictures of the obstacles, from all sides, on one sheet of two rows."""
+
 Method = Callable[
-    [VoxelGrid, Sequence[PosedView], Sequence[Silhouette], ReconstructConfig], Evolution
+    [VoxelGrid, Sequence[PosedView], Sequence[Silhouette], ReconstructConfig, int], Evolution
 ]
 
 
@@ -48,6 +53,7 @@ class Reconstruction:
     volumes: tuple[Volume, ...]
     obstacles: tuple[Obstacle, ...]
     views: tuple[PosedView, ...]
+    ground: GroundModel
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:
@@ -60,7 +66,8 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     settings = context.config.reconstruct
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()
-    shapes = silhouettes(views, _ground(context), options)
+    ground = _ground(context)
+    shapes = silhouettes(views, ground, options)
     regions = find_regions(views, shapes, options)
     volumes = []
     with context.progress("reconstruct", len(regions)) as ticker:
@@ -94,7 +101,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     )
     return Outcome(
         body,
-        Reconstruction(tuple(volumes), tuple(found), tuple(views)),
+        Reconstruction(tuple(volumes), tuple(found), tuple(views), ground),
         no_result=None if rows else "nothing stands on the ground that enough views see",
         summary=(("obstacles", str(len(rows))), *summary),
     )
@@ -113,7 +120,7 @@ def _volume(
     key = context.checkpoints.key("region", seen, settings.model_dump_json(), where)
     evolution: Evolution | None = context.checkpoints.load(key, Evolution)
     if evolution is None:
-        evolution = METHODS[settings.method](grid, views, shapes, settings)
+        evolution = METHODS[settings.method](grid, views, shapes, settings, context.jobs)
         context.checkpoints.save(key, evolution)
     return evolution
 
@@ -121,9 +128,13 @@ def _volume(
 def write(outcome: Outcome[ReconstructBody, Reconstruction], folder: Path) -> None:
     """Write the coloured mesh, its points and the level-set function."""
     result = outcome.payload
-    meshes = [colour(obstacle.mesh, result.views) for obstacle in result.obstacles]
-    mesh = join(meshes)
+    mesh = colour(join([obstacle.mesh for obstacle in result.obstacles]), result.views)
     write_mesh(folder / "obstacles.ply", mesh)
+    if len(mesh.faces):
+        sheet = turntable(mesh, result.ground, TURNTABLE_VIEWS)
+        pair = len(sheet) // 2
+        rows = [np.hstack(sheet[:pair]), np.hstack(sheet[pair:])]
+        (folder / "turntable.png").write_bytes(png_bytes(np.vstack(rows)))
     cloud = surface_points(mesh) if len(mesh.faces) else _no_points()
     write_points(folder / "points.ply", cloud)
     arrays: dict[str, NDArray[Any]] = {}
@@ -177,6 +188,7 @@ def _level_set(
     views: Sequence[PosedView],
     shapes: Sequence[Silhouette],
     settings: ReconstructConfig,
+    jobs: int,
 ) -> Evolution:
     """Evolve a box that fills the region down to the surface (thesis 5.6)."""
     f, g = data_terms(views, shapes, grid, EvidenceOptions())
@@ -189,6 +201,7 @@ def _level_set(
         grid.spacing,
         iterations=settings.iterations,
         evolution=settings.evolution,
+        jobs=jobs,
     )
 
 
@@ -200,6 +213,7 @@ def _carved(carve: Callable[..., NDArray[np.bool_]]) -> Method:
         views: Sequence[PosedView],
         shapes: Sequence[Silhouette],
         settings: ReconstructConfig,
+        jobs: int,
     ) -> Evolution:
         u = level_set_of(carve(views, shapes, grid), grid)
         return Evolution(u, energy=[], iterations=0, converged=True)
@@ -213,7 +227,7 @@ METHODS: dict[str, Method] = {
     "voxel-coloring": _carved(voxel_coloring),
     "space-carving": _carved(space_carving),
 }
-"""By name in the configuration: grid, views, silhouettes and settings to a volume."""
+"""By name in the configuration: grid, views, silhouettes, settings and threads to a volume."""
 
 
 def _total_energy(evolutions: Sequence[Evolution]) -> tuple[tuple[int, float], ...]:
