@@ -1,6 +1,7 @@
 """What is kept of one image for matching, and where its overhead view is sampled."""
 
 from dataclasses import dataclass, field
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,10 +54,10 @@ class MatchOptions:
     """
 
     features: str = "sift"
-    tilt_sigma: float = np.radians(3.0)
-    roll_sigma: float = np.radians(3.0)
+    tilt_sigma: float = radians(3.0)
+    roll_sigma: float = radians(3.0)
     height_sigma: float = 0.03
-    max_tilt_error: float = np.radians(14.0)
+    max_tilt_error: float = radians(14.0)
     min_log10_odds: float = 4.0
     max_uncertainty_px: float = 2.0
     max_range: float = 5.0

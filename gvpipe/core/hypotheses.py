@@ -16,9 +16,11 @@ _MAX_TURN = np.radians(35.0)  # keypoint orientations are good to 10-15 degrees,
 _MAX_LOG_GROWTH = np.log(1.9)  # the same for their sizes
 _MAX_LOG_SCALE = np.log(1.5)  # of the ground: heights misstated and distances sheared by the tilt
 _REFINED = 8  # hypotheses that get a full fit
+_SAME_HEIGHTS = 0.15  # similarities nearer than this many camera heights are one
 _SAME_PX = 20.0  # hypotheses nearer than this over the matches are one
-_ANNEAL_PX = (24.0, 12.0, 6.0, 3.0)
-_INLIER_PX = 4.0
+_ANNEAL_PX = (8.0, 4.0, 2.0, 1.0)  # standard deviations of a match, in turn
+INLIER_PX = 4.0
+"""A match nearer to a hypothesis agrees with it."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +84,23 @@ def _propose(
         _MAX_LOG_GROWTH,
         _TOLERANCE_PX,
     )
-    best = np.argsort(-found[:, 0], kind="stable")[: 4 * _REFINED]
     rest = assumed.parameters[4:]
     return [
-        (float(found[t, 0]), assumed.with_parameters(np.concatenate([found[t, 1:], rest])))
-        for t in best
-        if found[t, 0] > 0
+        (float(row[0]), assumed.with_parameters(np.concatenate([row[1:], rest])))
+        for row in _peaks(found[found[:, 0] > 0], assumed.mount_j.height)
     ]
+
+
+def _peaks(found: Float, height: float) -> Float:
+    """Best similarities (K, 5) that differ in where they put a point two heights away."""
+    peaks: list[Float] = []
+    while len(found) and len(peaks) < _REFINED:
+        peak = found[found[:, 0].argmax()]
+        peaks.append(peak)
+        turn = np.abs((found[:, 1] - peak[1] + np.pi) % (2 * np.pi) - np.pi)
+        moved = np.hypot(found[:, 2] - peak[2], found[:, 3] - peak[3])
+        found = found[moved + 2 * height * turn > _SAME_HEIGHTS * height]
+    return np.array(peaks).reshape(-1, 5)
 
 
 def _distinct(geometries: list[TwoView], points: Float, most: int) -> list[TwoView]:
@@ -147,12 +159,13 @@ def find_hypotheses(
     found = []
     for start in _distinct(ranked, matches.pixels_i, _REFINED):
         geometry = start
-        for loss in _ANNEAL_PX:
+        for sigma in _ANNEAL_PX:
+            whiten = np.broadcast_to(np.eye(2) / sigma, (n, 2, 2))
             geometry = fit_two_views(
-                geometry, expected, prior, matches.pixels_i, matches.pixels_j, loss=loss
+                geometry, expected, prior, matches.pixels_i, matches.pixels_j, whiten
             ).geometry
         errors = transfer_errors(geometry.homography, matches.pixels_i, matches.pixels_j)
-        found.append(Hypothesis(start, geometry, errors < _INLIER_PX))
+        found.append(Hypothesis(start, geometry, errors < INLIER_PX))
     found.sort(key=lambda h: -int(h.inliers.sum()))
     kept = _distinct([h.geometry for h in found], matches.pixels_i, _REFINED)
     return [h for h in found if any(h.geometry is geometry for geometry in kept)]

@@ -84,9 +84,8 @@ def match_invariants(
             **counts,
         )
     expected = two_views(view_i, view_j)
-    prior = PairPrior(
-        options.tilt_sigma, options.tilt_sigma, options.roll_sigma, options.height_sigma
-    )
+    tilt, roll = options.tilt_sigma, options.roll_sigma
+    prior = PairPrior(tilt, tilt, roll, options.height_sigma, options.max_tilt_error)
     gate = options.min_colour
     best: tuple[int, TwoView, Guided] | None = None
     for _, *motion in found.fits:

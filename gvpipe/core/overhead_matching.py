@@ -7,8 +7,9 @@ import numpy as np
 
 from gvpipe.core.features import Features, MatchOptions
 from gvpipe.core.homography import transfer_errors
-from gvpipe.core.hypotheses import Hypothesis, Matches, find_hypotheses
-from gvpipe.core.patches import Aligned, Pyramid, align, grey_pyramid
+from gvpipe.core.hypotheses import INLIER_PX, Matches, find_hypotheses
+from gvpipe.core.patches import COARSENESS, Aligned, Pyramid, align, grey_pyramid
+from gvpipe.core.rivals import lower_plane, repetitions, shifted
 from gvpipe.core.sift import candidate_matches
 from gvpipe.core.twoview import PairPrior, TwoView, two_views
 from gvpipe.core.types import Float, Mount, PairMatch, Rejected, View
@@ -18,17 +19,37 @@ _MAX_MATCHES = 500  # the most distinct ones: a right geometry never needs more
 _MIN_MATCHES = 4
 _TRIED = 3  # hypotheses whose patches are compared, for each set of assumed tilts
 _CERTAIN = 15.0  # decimal exponent of the odds at which looking further is a waste
+_LEAST_GROUND = 0.3  # patches of a lower plane, of those on the found one: less may be reflections
+_AMBIGUOUS = 0.8  # share of agreeing patches of a shifted geometry, of the found one's
 _WIDER = np.radians(6.0)  # next tilts to try where the configured ones lead nowhere
 _UNKNOWN = np.radians([-20.0, -10.0, 10.0, 20.0])  # the same for a tilt that is not known
 _UNKNOWN_SIGMA = np.radians(20.0)
 
 
 @dataclass(frozen=True)
+class _Pair:
+    """All that stays the same while geometries are compared."""
+
+    expected: TwoView
+    prior: PairPrior
+    pyramids: tuple[Pyramid, Pyramid]
+    matches: Matches
+    options: MatchOptions
+
+
+@dataclass(frozen=True)
 class _Candidate:
-    hypothesis: Hypothesis
+    """A geometry with its evidence and what is to be said against it."""
+
+    start: TwoView
     aligned: Aligned
     covariance: Float
     evidence: Evidence
+    objection: str | None
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        return self.objection is None, self.evidence.log10_odds
 
 
 def _matches(features_i: Features, features_j: Features, max_ratio: float) -> Matches:
@@ -46,23 +67,76 @@ def _tilt_errors(mount: Mount) -> tuple[float, ...]:
     return (0.0, *(float(t) for t in ((-_WIDER, _WIDER) if mount.tilt_known else _UNKNOWN)))
 
 
-def _best(
-    hypotheses: list[Hypothesis],
-    expected: TwoView,
-    prior: PairPrior,
-    pyramids: tuple[Pyramid, Pyramid],
+def _examine(
+    pair: _Pair, start: TwoView, geometry: TwoView, coarseness: tuple[float, ...] = COARSENESS
 ) -> _Candidate | None:
-    """Find the hypothesis with the strongest evidence among the first few."""
+    """Align the ground patches of a geometry and weigh what they say."""
+    aligned = align(geometry, pair.expected, pair.prior, *pair.pyramids, coarseness=coarseness)
+    if aligned is None:
+        return None
+    covariance = aligned.fit.homography_covariance
+    evidence = weigh(aligned, covariance, pair.expected)
+    return _Candidate(start, aligned, covariance, evidence, objection(evidence, pair.options))
+
+
+def _search(pair: _Pair, rng: np.random.Generator) -> tuple[_Candidate | None, int, int]:
+    """Best candidate, hypotheses drawn, most keypoint matches on a plane."""
+    mount_i, mount_j = pair.expected.mount_i, pair.expected.mount_j
+    grid = list(product(_tilt_errors(mount_i), _tilt_errors(mount_j)))
     best: _Candidate | None = None
-    for hypothesis in hypotheses[:_TRIED]:
-        aligned = align(hypothesis.geometry, expected, prior, *pyramids)
-        if aligned is None:
-            continue
-        covariance = aligned.fit.homography_covariance
-        evidence = weigh(aligned, covariance, expected)
-        if best is None or evidence.log10_odds > best.evidence.log10_odds:
-            best = _Candidate(hypothesis, aligned, covariance, evidence)
-    return best
+    trials = most = 0
+    for assumed in (grid[:1], grid[1:]):
+        draws = pair.options.hypotheses
+        found = find_hypotheses(
+            pair.expected,
+            pair.prior,
+            pair.matches,
+            tuple(assumed),
+            draws,
+            rng,
+        )
+        trials += draws * len(assumed)
+        most = max([most, *(int(h.inliers.sum()) for h in found)])
+        for hypothesis in found[:_TRIED]:
+            candidate = _examine(pair, hypothesis.start, hypothesis.geometry)
+            if candidate and (best is None or candidate.rank > best.rank):
+                best = candidate
+            if best and best.rank > (True, _CERTAIN):
+                return best, trials, most
+    return best, trials, most
+
+
+def _lowest(pair: _Pair, found: _Candidate) -> _Candidate:
+    """Return the plane below the found one, if the pictures show one."""
+    below = lower_plane(found.aligned.fit.geometry, pair.matches, INLIER_PX)
+    lower = _examine(pair, found.start, below) if below is not None else None
+    if lower is None or lower.objection is not None:
+        return found
+    ground, top = lower.aligned.fit.geometry, found.aligned.fit.geometry
+    enough = lower.evidence.inliers > _LEAST_GROUND * found.evidence.inliers
+    return lower if enough and np.hypot(ground.x, ground.y) < np.hypot(top.x, top.y) else found
+
+
+def _ambiguity(pair: _Pair, found: _Candidate, view_i: View) -> str | None:
+    """Say which shift of a repetitive ground agrees as well, or None."""
+    geometry = found.aligned.fit.geometry
+    for shift in repetitions(view_i, geometry):
+        for sign in (1.0, -1.0):
+            other = shifted(geometry, sign * shift)
+            rival = _examine(pair, other, other, coarseness=(1.0,))
+            if rival is None:
+                continue
+            moved = rival.aligned.fit.geometry
+            away = np.hypot(moved.x - geometry.x, moved.y - geometry.y)
+            share = found.evidence.inliers / found.evidence.tested
+            rival_share = rival.evidence.inliers / max(rival.evidence.tested, 1)
+            if away > 0.5 * np.hypot(*shift) and rival_share > _AMBIGUOUS * share:
+                return (
+                    f"the ground repeats every {np.hypot(*shift):.2f} m: "
+                    f"{found.evidence.inliers} of {found.evidence.tested} patches agree, shifted "
+                    f"by that {rival.evidence.inliers} of {rival.evidence.tested}"
+                )
+    return None
 
 
 def match_sift(
@@ -82,33 +156,30 @@ def match_sift(
             f"least {_MIN_MATCHES} are needed",
             candidates=candidates,
         )
-    expected = two_views(view_i, view_j)
-    tilts = [options.tilt_sigma if v.mount.tilt_known else _UNKNOWN_SIGMA for v in (view_i, view_j)]
-    prior = PairPrior(tilts[0], tilts[1], options.roll_sigma, options.height_sigma)
-    pyramids = grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)
-    grid = list(product(_tilt_errors(view_i.mount), _tilt_errors(view_j.mount)))
-    best: _Candidate | None = None
-    trials = most = 0
-    for assumed in (grid[:1], grid[1:]):
-        hypotheses = find_hypotheses(
-            expected, prior, matches, tuple(assumed), options.hypotheses, rng
-        )
-        trials += options.hypotheses * len(assumed)
-        most = max([most, *(int(h.inliers.sum()) for h in hypotheses)])
-        found = _best(hypotheses, expected, prior, pyramids)
-        if found and (best is None or found.evidence.log10_odds > best.evidence.log10_odds):
-            best = found
-        if best and best.evidence.log10_odds > _CERTAIN:
-            break
+    tilt_i, tilt_j = (
+        options.tilt_sigma if v.mount.tilt_known else _UNKNOWN_SIGMA for v in (view_i, view_j)
+    )
+    pair = _Pair(
+        expected=two_views(view_i, view_j),
+        prior=PairPrior(
+            tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
+        ),
+        pyramids=(grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)),
+        matches=matches,
+        options=options,
+    )
+    best, trials, most = _search(pair, rng)
     if best is None:
         return Rejected(
             f"the best ground plane has {most} of {candidates} keypoint matches and no ground "
             "patches that look alike",
             candidates=candidates,
             trials=trials,
-            inliers=0,
         )
-    reason = objection(best.evidence, options)
+    reason = best.objection
+    if reason is None:
+        best = _lowest(pair, best)
+        reason = _ambiguity(pair, best, view_i)
     if reason is not None:
         return Rejected(reason, candidates, trials, best.evidence.inliers)
     return _accepted(best, candidates, trials)
@@ -120,7 +191,7 @@ def _accepted(best: _Candidate, candidates: int, trials: int) -> PairMatch:
     errors = transfer_errors(geometry.homography, points_i, points_j)
     return PairMatch(
         homography=geometry.homography,
-        homography_initial=best.hypothesis.start.homography,
+        homography_initial=best.start.homography,
         overhead_j_from_i=geometry.ground_j_from_ground_i,
         points_i=points_i,
         points_j=points_j,

@@ -19,12 +19,15 @@ class PairPrior:
         Error of the configured tilts and of both rolls, radians.
     log_scale : float
         Error of the ratio of the configured heights, as a natural logarithm.
+    limit : float
+        Largest error of a known tilt and of a roll, radians: beyond, the plane is another one.
     """
 
     tilt_i: float
     tilt_j: float
     roll: float
     log_scale: float
+    limit: float = np.inf
 
     @property
     def weights(self) -> Float:
@@ -147,6 +150,12 @@ class PairFit:
         return np.asarray(chain @ np.linalg.pinv(self.information, hermitian=True) @ chain.T)
 
 
+def _limits(expected: TwoView, limit: float) -> Float:
+    """(8,) largest departures of the parameters from their expected values."""
+    tilts = [limit if m.tilt_known else np.inf for m in (expected.mount_i, expected.mount_j)]
+    return np.array([np.inf, np.inf, np.inf, np.inf, tilts[0], limit, tilts[1], limit])
+
+
 def fit_two_views(
     start: TwoView,
     expected: TwoView,
@@ -187,6 +196,7 @@ def fit_two_views(
         start.parameters,
         expected.parameters,
         prior.weights,
+        _limits(expected, prior.limit),
         np.linalg.inv(start.camera_i.matrix).astype(np.float64),
         start.camera_j.matrix,
         start.mount_i.height,

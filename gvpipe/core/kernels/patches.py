@@ -68,7 +68,13 @@ def _density(projection: Float, x: float, y: float) -> float:
     w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
     if w <= 1e-9:
         return 0.0
-    return np.sqrt(abs(np.linalg.det(projection)) / w**3)
+    p = projection
+    det = (
+        p[0, 0] * (p[1, 1] * p[2, 2] - p[1, 2] * p[2, 1])
+        - p[0, 1] * (p[1, 0] * p[2, 2] - p[1, 2] * p[2, 0])
+        + p[0, 2] * (p[1, 0] * p[2, 1] - p[1, 1] * p[2, 0])
+    )
+    return np.sqrt(abs(det) / w**3)
 
 
 @kernel
@@ -82,6 +88,15 @@ def _level(samples_apart_px: float, levels: int) -> int:
 
 
 @kernel
+def _mean(values: Float) -> float:
+    total = 0.0
+    for r in range(SIDE):
+        for c in range(SIDE):
+            total += values[r, c]
+    return total / _COUNT
+
+
+@kernel
 def _differentiate(padded: Float, template: Float, gx: Float, gy: Float) -> Float:
     """Centre the template and its gradients; return their second moments and its energy."""
     for r in range(SIDE):
@@ -89,7 +104,7 @@ def _differentiate(padded: Float, template: Float, gx: Float, gy: Float) -> Floa
             template[r, c] = padded[r + 1, c + 1]
             gx[r, c] = 0.5 * (padded[r + 2, c + 1] - padded[r, c + 1])
             gy[r, c] = 0.5 * (padded[r + 1, c + 2] - padded[r + 1, c])
-    mean, mean_x, mean_y = template.sum() / _COUNT, gx.sum() / _COUNT, gy.sum() / _COUNT
+    mean, mean_x, mean_y = _mean(template), _mean(gx), _mean(gy)
     moments = np.zeros(4)
     for r in range(SIDE):
         for c in range(SIDE):
@@ -106,7 +121,7 @@ def _differentiate(padded: Float, template: Float, gx: Float, gy: Float) -> Floa
 @kernel
 def _correlate(patch: Float, template: Float, energy: float) -> tuple[float, float]:
     """Centre the patch; return its correlation with the template and the gain to match it."""
-    mean = patch.sum() / _COUNT
+    mean = _mean(patch)
     cross, energy_j = 0.0, 0.0
     for r in range(SIDE):
         for c in range(SIDE):

@@ -11,8 +11,44 @@ import numpy as np
 from gvpipe.core.kernels.jit import kernel
 from gvpipe.core.types import Float
 
-PARAMETERS = 8
-_STEP = 1e-6  # finite difference of the homography's entries: error 1e-10, far below pixel noise
+_WALL = 0.01  # width of the wall at a parameter's limit, radians (or log units)
+_STEP = 1e-7  # finite difference of the homography's entries: relative error 1e-7, steers only
+_SETTLED = 1e-7  # relative gain of a step after which the descent ends
+
+
+@kernel
+def _product(a: Float, b: Float) -> Float:
+    """Product of two (3, 3) matrices, without a library call for 27 multiplications."""
+    c = np.zeros((3, 3))
+    for r in range(3):
+        for k in range(3):
+            for m in range(3):
+                c[r, m] += a[r, k] * b[k, m]
+    return c
+
+
+@kernel
+def _solve(a: Float, b: Float) -> Float:
+    """Solve a positive definite system by Cholesky's factors; `a` is overwritten."""
+    n = len(b)
+    x = b.copy()
+    for k in range(n):
+        for m in range(k):
+            a[k, k] -= a[k, m] * a[k, m]
+        a[k, k] = np.sqrt(max(a[k, k], 1e-300))
+        for r in range(k + 1, n):
+            for m in range(k):
+                a[r, k] -= a[r, m] * a[k, m]
+            a[r, k] /= a[k, k]
+    for k in range(n):
+        for m in range(k):
+            x[k] -= a[k, m] * x[m]
+        x[k] /= a[k, k]
+    for k in range(n - 1, -1, -1):
+        for m in range(k + 1, n):
+            x[k] -= a[m, k] * x[m]
+        x[k] /= a[k, k]
+    return x
 
 
 @kernel
@@ -48,7 +84,7 @@ def pair_homography(
     between[0, 0], between[0, 1], between[0, 2] = cy, -sy, theta[1]
     between[1, 0], between[1, 1], between[1, 2] = sy, cy, theta[2]
     between[2, 2] = 1.0
-    return k_j @ (camera_j @ (between @ (ground_i @ inverse_k_i)))
+    return _product(k_j, _product(camera_j, _product(between, _product(ground_i, inverse_k_i))))
 
 
 @kernel
@@ -56,6 +92,7 @@ def _normal_equations(
     theta: Float,
     prior: Float,
     prior_weight: Float,
+    limit: Float,
     inverse_k_i: Float,
     k_j: Float,
     height_i: float,
@@ -64,22 +101,21 @@ def _normal_equations(
     q: Float,
     whiten: Float,
     loss: float,
-    gradient: bool,
 ) -> tuple[float, Float, Float]:
-    """Cost; with `gradient` also J'J and J'r of the robustly weighted, whitened residuals."""
+    """Cost, J'J and J'r of the robustly weighted, whitened residuals."""
+    size = len(theta)
     h = pair_homography(theta, inverse_k_i, k_j, height_i, height_j)
-    dh = np.empty((PARAMETERS, 3, 3))
-    if gradient:
-        for k in range(PARAMETERS):
-            moved = theta.copy()
-            moved[k] += _STEP
-            up = pair_homography(moved, inverse_k_i, k_j, height_i, height_j)
-            moved[k] -= 2 * _STEP
-            down = pair_homography(moved, inverse_k_i, k_j, height_i, height_j)
-            dh[k] = (up - down) / (2 * _STEP)
-    a = np.zeros((PARAMETERS, PARAMETERS))
-    b = np.zeros(PARAMETERS)
-    row = np.empty((2, PARAMETERS))
+    dh = np.empty((size, 3, 3))
+    for k in range(size):
+        moved = theta.copy()
+        moved[k] += _STEP
+        forward = pair_homography(moved, inverse_k_i, k_j, height_i, height_j)
+        for r in range(3):
+            for c in range(3):
+                dh[k, r, c] = (forward[r, c] - h[r, c]) / _STEP
+    a = np.zeros((size, size))
+    b = np.zeros(size)
+    row = np.empty((2, size))
     cost = 0.0
     square_loss = loss * loss
     for n in range(len(p)):
@@ -96,26 +132,30 @@ def _normal_equations(
         square = r0 * r0 + r1 * r1
         shrink = 1.0 / (1.0 + square / square_loss)  # Geman-McClure
         cost += 0.5 * square * shrink
-        if not gradient:
-            continue
         weight = shrink * shrink
-        for k in range(PARAMETERS):
+        for k in range(size):
             dw = dh[k, 2, 0] * x + dh[k, 2, 1] * y + dh[k, 2, 2]
             du = (dh[k, 0, 0] * x + dh[k, 0, 1] * y + dh[k, 0, 2] - u * dw) / w
             dv = (dh[k, 1, 0] * x + dh[k, 1, 1] * y + dh[k, 1, 2] - v * dw) / w
             row[0, k] = whiten[n, 0, 0] * du + whiten[n, 0, 1] * dv
             row[1, k] = whiten[n, 1, 0] * du + whiten[n, 1, 1] * dv
-        for k in range(PARAMETERS):
+        for k in range(size):
             b[k] += weight * (row[0, k] * r0 + row[1, k] * r1)
             for m in range(k + 1):
                 a[k, m] += weight * (row[0, k] * row[0, m] + row[1, k] * row[1, m])
-    for k in range(PARAMETERS):
+    for k in range(size):
         r = (theta[k] - prior[k]) * prior_weight[k]
         # soft L1: a hint far off loses its pull instead of bending the plane
         root = np.sqrt(1.0 + r * r)
         cost += root - 1.0
         b[k] += prior_weight[k] * r / root
         a[k, k] += prior_weight[k] * prior_weight[k] / root
+        off = theta[k] - prior[k]
+        excess = abs(off) - limit[k]
+        if excess > 0.0:
+            cost += 0.5 * (excess / _WALL) ** 2
+            b[k] += np.sign(off) * excess / (_WALL * _WALL)
+            a[k, k] += 1.0 / (_WALL * _WALL)
         for m in range(k):
             a[m, k] = a[k, m]
     return cost, a, b
@@ -126,6 +166,7 @@ def fit_pair(
     theta: Float,
     prior: Float,
     prior_weight: Float,
+    limit: Float,
     inverse_k_i: Float,
     k_j: Float,
     height_i: float,
@@ -142,6 +183,8 @@ def fit_pair(
     ----------
     theta, prior, prior_weight : (8,) float64
         Start, expected value and one over its standard deviation (0 = unknown).
+    limit : (8,) float64
+        Largest departure from the expected value; a steep wall stands there.
     inverse_k_i, k_j : (3, 3) float64
         Inverse calibration of i, calibration of j.
     height_i, height_j : float
@@ -162,21 +205,17 @@ def fit_pair(
     information : (8, 8) float64
         Weighted J'J plus the prior's, at the returned point.
     """
-    theta = theta.copy()
+    size = len(theta)
+    trial = theta.copy()
     damping = 1e-3
-    cost, a, b = _normal_equations(
-        theta, prior, prior_weight, inverse_k_i, k_j, height_i, height_j, p, q, whiten, loss, True
-    )
-    for _ in range(iterations):
-        damped = a.copy()
-        for k in range(PARAMETERS):
-            damped[k, k] += damping * a[k, k] + 1e-12
-        step = np.linalg.solve(damped, b)
-        trial = theta - step
-        new_cost, _, _ = _normal_equations(
+    cost = np.inf
+    a, b = np.eye(size), np.zeros(size)
+    for _ in range(iterations + 1):
+        new_cost, new_a, new_b = _normal_equations(
             trial,
             prior,
             prior_weight,
+            limit,
             inverse_k_i,
             k_j,
             height_i,
@@ -185,30 +224,22 @@ def fit_pair(
             q,
             whiten,
             loss,
-            False,
         )
         if new_cost < cost:
-            gain = (cost - new_cost) / max(cost, 1e-30)
-            theta = trial
+            settled = cost - new_cost < _SETTLED * cost
+            theta, cost, a, b = trial, new_cost, new_a, new_b
             damping = max(damping * 0.2, 1e-9)
-            cost, a, b = _normal_equations(
-                theta,
-                prior,
-                prior_weight,
-                inverse_k_i,
-                k_j,
-                height_i,
-                height_j,
-                p,
-                q,
-                whiten,
-                loss,
-                True,
-            )
-            if gain < 1e-7:
+            if settled:
                 break
         else:
             damping *= 8.0
             if damping > 1e6:
                 break
+        damped = a.copy()
+        for k in range(size):
+            damped[k, k] += damping * a[k, k] + 1e-12
+        step = _solve(damped, b)
+        trial = theta.copy()
+        for k in range(size):
+            trial[k] -= step[k]
     return theta, cost, a

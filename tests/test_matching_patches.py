@@ -1,0 +1,69 @@
+"""Patch alignment against shifts that are known exactly, and the verdict drawn from it."""
+
+import numpy as np
+import pytest
+
+from gvpipe.core.features import MatchOptions
+from gvpipe.core.ground import pixel_from_ground
+from gvpipe.core.kernels.patches import BLANK, LEAVES, align_patches
+from gvpipe.core.patches import grey_pyramid
+from gvpipe.core.types import Float
+from gvpipe.core.verdict import Evidence, objection
+from tests.synthetic import CAMERA, Scene, texture, view_at
+
+SHIFT = np.array([0.004, -0.003])  # metres: a bit more than a pixel
+
+
+def aligned(gain: float = 1.0, noise: float = 0.0) -> tuple[Float, Float, Float, Float]:
+    scene = Scene(texture(np.random.default_rng(3)))
+    rng = np.random.default_rng(7)
+    a, _ = view_at(scene, 0.0, 0.0, 0.0, 50.0)
+    b, _ = view_at(scene, *SHIFT, 0.0, 50.0, gain=gain, noise=noise, rng=rng)
+    x, y = np.meshgrid(np.linspace(0.25, 0.9, 14), np.linspace(-0.2, 0.2, 14))
+    ground = np.column_stack([x.ravel(), y.ravel()])
+    h = pixel_from_ground(CAMERA, a.mount)
+    shift, correlation, covariance = align_patches(
+        grey_pyramid(a.pixels), grey_pyramid(b.pixels), h, h, ground, 1.0, 4.0, 12
+    )
+    return ground, shift, correlation, covariance
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.6])
+def test_finds_a_shift_of_the_ground(gain: float) -> None:
+    _, shift, correlation, _ = aligned(gain)
+    good = correlation > 0.9
+    assert good.sum() > 100
+    # the ground lies back and to the right of a robot that moved ahead and left
+    np.testing.assert_allclose(np.median(shift[good], axis=0), -SHIFT, atol=1e-4)
+
+
+def test_covariance_tells_the_scatter() -> None:
+    _, shift, correlation, covariance = aligned(noise=6.0)
+    good = correlation > 0.5
+    off = shift[good] + SHIFT
+    square = np.einsum("na,nab,nb->n", off, np.linalg.inv(covariance[good]), off)
+    assert 0.3 < np.median(square) / 1.386 < 4.0  # the median of chi-square with two freedoms
+
+
+def test_says_why_a_patch_cannot_be_aligned() -> None:
+    grey = grey_pyramid(np.full((240, 320, 3), 90, np.uint8))
+    mount = view_at(Scene(texture(np.random.default_rng(3))), 0, 0, 0, 50.0)[0].mount
+    h = pixel_from_ground(CAMERA, mount)
+    ground = np.array([[0.5, 0.0], [0.5, 9.0], [-5.0, 0.0]])
+    _, correlation, _ = align_patches(grey, grey, h, h, ground, 1.0, 4.0, 12)
+    assert correlation.tolist() == [BLANK, LEAVES, LEAVES]
+
+
+def test_verdict_names_numbers_and_thresholds() -> None:
+    options = MatchOptions()
+    sound = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=0.1, drift=0.05)
+    assert objection(sound, options) is None
+    assert sound.probability > 0.999
+    chance = Evidence(inliers=6, tested=200, log10_odds=-1.0, uncertainty_px=0.1, drift=0.05)
+    assert "6 of 200" in str(objection(chance, options))
+    assert chance.probability < 0.1
+    steep = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=0.1, drift=0.5)
+    assert "29 degrees" in str(objection(steep, options))
+    loose = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=9.0, drift=0.05)
+    assert "9.0 px" in str(objection(loose, options))
+    assert loose.probability < 0.2
