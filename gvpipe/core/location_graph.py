@@ -9,11 +9,11 @@ from scipy.sparse.csgraph import connected_components
 
 from gvpipe.core.closure import Closure, closures
 from gvpipe.core.consistency import Mask
+from gvpipe.core.holding import MIN_POINTS, hold
 from gvpipe.core.links import Link, robot_of
 from gvpipe.core.map_part import MapOptions, Part, Views, adjust_part
-from gvpipe.core.placement import tuned_mounts
 from gvpipe.core.pose import yaw_tilt_roll
-from gvpipe.core.screening import MIN_POINTS, screen
+from gvpipe.core.screening import screen
 from gvpipe.core.tracks import Index
 from gvpipe.core.transfer import median_error_px, residual_m
 from gvpipe.core.types import Camera, Float, Mount, Pose
@@ -130,8 +130,11 @@ def build_map(
             raise ValueError(f"{image} is not among the images to map")
     ends = np.array([(index[x.image_i], index[x.image_j]) for x in links], dtype=np.int64)
     ends = ends.reshape(-1, 2)
-    views = _views(cameras, mounts, order, links)
-    screened = screen(links, ends, views.cameras, views.mounts)
+    group = _robots(order)
+    held = hold(links, ends, [cameras[x] for x in order], [mounts[x] for x in order], group)
+    usable = np.array([not reason for reason in held.reasons], dtype=bool)
+    views = Views([cameras[x] for x in order], held.expected, held.mounts, group)
+    screened = screen(links, ends, usable, views.cameras, views.held)
     planar, keep = screened.planar, screened.keep
     parts: list[Part] = []
     for _ in range(REVISIONS):
@@ -144,25 +147,13 @@ def build_map(
         if (revised == keep).all():
             break
         planar, keep = _planar(parts, planar), revised
-    return _Gathered(order, views, parts, ends, links, keep).result(screened.reasons, errors_px)
+    return _Gathered(order, views, parts, ends, links, keep).result(held.reasons, errors_px)
 
 
-def _views(
-    cameras: Mapping[str, Camera],
-    mounts: Mapping[str, Mount],
-    order: Sequence[str],
-    links: Sequence[Link],
-) -> Views:
-    """Give the images numbers and find roughly how their robots hold their cameras."""
-    robots = {image: robot_of(image) for image in order}
-    matches = [(x.image_i, x.image_j, x.points_i, x.points_j) for x in links]
-    tuned = tuned_mounts(cameras, mounts, robots, matches)
-    names = list(dict.fromkeys(robots.values()))
-    return Views(
-        cameras=[cameras[image] for image in order],
-        mounts=[tuned[image] for image in order],
-        group=np.array([names.index(robots[image]) for image in order], dtype=np.int64),
-    )
+def _robots(order: Sequence[str]) -> Index:
+    """Return the number of the robot of each image, (N,)."""
+    names: dict[str, int] = {}
+    return np.array([names.setdefault(robot_of(x), len(names)) for x in order], dtype=np.int64)
 
 
 def _connected(count: int, reference: int, ends: Index) -> list[Index]:
