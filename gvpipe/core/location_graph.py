@@ -20,8 +20,10 @@ from gvpipe.core.types import Camera, Float, Mount, Pose
 
 __all__ = ["JudgedLink", "Link", "MapOptions", "MapResult", "PosedImage", "build_map"]
 
-MAX_ERROR_PX = 3.0
-"""Median transfer error of a link's matches under the map, above which the link is wrong."""
+MIN_LIMIT_PX, MAX_LIMIT_PX = 1.0, 3.0
+STRAY = 5.0
+"""A link is wrong if the median transfer error of its matches under the map is above this many
+times that of the usual link, within these bounds in pixels."""
 
 REVISIONS = 4
 """Rounds of adjusting the map and judging the links by it, at most."""
@@ -143,7 +145,7 @@ def build_map(
             for members in _connected(len(order), index[reference], ends[keep])
         ]
         errors_px = _errors_px(views, parts, ends, links)
-        revised = np.where(np.isnan(errors_px), keep, errors_px <= MAX_ERROR_PX)
+        revised = np.where(np.isnan(errors_px), keep, errors_px <= _limit_px(errors_px[keep]))
         if (revised == keep).all():
             break
         planar, keep = _planar(parts, planar), revised
@@ -191,6 +193,13 @@ def _errors_px(views: Views, parts: list[Part], ends: Index, links: Sequence[Lin
                 cameras = views.cameras[i], views.cameras[j]
                 errors[k] = median_error_px(links[k], cameras, (pose_i, pose_j))
     return errors
+
+
+def _limit_px(errors_px: Float) -> float:
+    """Median transfer error above which a link is wrong, from those of the kept links."""
+    known = errors_px[np.isfinite(errors_px)]
+    usual = float(np.median(known)) if len(known) else MAX_LIMIT_PX
+    return float(np.clip(STRAY * usual, MIN_LIMIT_PX, MAX_LIMIT_PX))
 
 
 def _planar(parts: list[Part], planar: Float) -> Float:
