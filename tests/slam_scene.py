@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply, normalise
+from gvpipe.core.homography import apply, fit_linear
 from gvpipe.core.links import Link, link_kind
 from gvpipe.core.pose import planar_pose
 from gvpipe.core.types import Camera, Float, Mount, Pose
@@ -26,8 +26,9 @@ class Scene:
 
 
 def loop_path(count: int, radius: float = 1.2, turns: float = 1.02) -> Float:
-    """Positions and headings (N, 3) round a circle, a little more than closed."""
-    angle = np.linspace(0.0, 2 * np.pi * turns, count)
+    """Positions and headings (N, 3) round a circle at uneven steps, a little more than closed."""
+    even = np.linspace(0.0, 1.0, count)
+    angle = 2 * np.pi * turns * (even + 0.3 / count * np.sin(2.6 * np.arange(count)))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), angle + np.pi / 2])
 
 
@@ -88,7 +89,7 @@ def make_scene(
             gap = abs(order.index(j) - a)
             if kind == "odometry" and gap > max_gap:
                 continue
-            link = _link(i, j, kind, seen, poses, rng, wrong_matches)
+            link = _link(i, j, kind, seen, rng, wrong_matches)
             if link is not None:
                 links.append(link)
     return Scene(cameras, mounts, poses, links)
@@ -112,7 +113,6 @@ def _link(
     j: str,
     kind: str,
     seen: dict[str, dict[int, Float]],
-    poses: dict[str, Pose],
     rng: np.random.Generator,
     wrong: float,
 ) -> Link | None:
@@ -122,8 +122,8 @@ def _link(
     p, q = (np.array([seen[x][k] for k in common]) for x in (i, j))
     bad = rng.random(len(p)) < wrong
     q = np.where(bad[:, None], q + rng.normal(0.0, 20.0, q.shape), q)
-    h = pixel_from_plane(CAMERA, poses[j]) @ np.linalg.inv(pixel_from_plane(CAMERA, poses[i]))
-    return Link(i, j, kind, normalise(h), p, q)
+    h = fit_linear(p[~bad], q[~bad])
+    return None if h is None else Link(i, j, kind, h, p, q)
 
 
 def replace_links(links: list[Link], which: list[int], rng: np.random.Generator) -> list[Link]:

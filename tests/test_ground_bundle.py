@@ -143,7 +143,7 @@ def test_the_covariance_is_honest() -> None:
     squares = np.zeros(images - 1)
     for seed in range(runs):
         scene = make_scene(
-            {"A": loop_path(images, radius=0.5)},
+            {"A": arc_path(images, bend=0.1)},
             np.random.default_rng(seed),
             density=50.0,
             scale_sigma=0.005,

@@ -35,8 +35,9 @@ HELD_BY_HAND = 0.01
 A robot's suspension gives some tenths of a percent, a steady hand several percent. By hand the
 configured height is that of the first picture; on a robot it is the mean."""
 
+LOOSE_LEAN = np.radians(3.0)
 LOOSE_HEIGHT = 0.1
-"""Relative height deviation within a robot that the adjustment starts from."""
+"""Deviations within a robot that the adjustment starts from, radians and relative."""
 
 EXPECTED = np.array([np.radians(0.3), np.radians(0.3), 0.003])
 """Deviations within a robot (two leans, radians; relative height) that `FICTITIOUS` pictures
@@ -94,8 +95,9 @@ def adjust(
     over the number of them that the data determine.
     """
     groups = problem.groups
-    within = mean_sigma.copy()
-    within[:, 2] = LOOSE_HEIGHT if height_sigma is None else height_sigma
+    within = np.tile([LOOSE_LEAN, LOOSE_LEAN, LOOSE_HEIGHT], (groups, 1))
+    if height_sigma is not None:
+        within[:, 2] = height_sigma
     spread = Spread(within, mean_sigma, np.full(groups, -1, dtype=np.int64))
     state = State(cameras, np.zeros((groups, 3)), problem.initial_points(cameras))
     state = problem.minimise(state, spread, FIRST_LOSS_PX, 1.0, STEPS)

@@ -9,19 +9,21 @@ from scipy.sparse.csgraph import connected_components
 
 from gvpipe.core.closure import Closure, closures
 from gvpipe.core.consistency import Mask
+from gvpipe.core.holding import MIN_POINTS, hold
 from gvpipe.core.links import Link, robot_of
 from gvpipe.core.map_part import MapOptions, Part, Views, adjust_part
-from gvpipe.core.placement import tuned_mounts
 from gvpipe.core.pose import yaw_tilt_roll
-from gvpipe.core.screening import MIN_POINTS, screen
+from gvpipe.core.screening import screen
 from gvpipe.core.tracks import Index
 from gvpipe.core.transfer import median_error_px, residual_m
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 __all__ = ["JudgedLink", "Link", "MapOptions", "MapResult", "PosedImage", "build_map"]
 
-MAX_ERROR_PX = 3.0
-"""Median transfer error of a link's matches under the map, above which the link is wrong."""
+MIN_LIMIT_PX, MAX_LIMIT_PX = 1.0, 3.0
+STRAY = 5.0
+"""A link is wrong if the median transfer error of its matches under the map is above this many
+times that of the usual link, within these bounds in pixels."""
 
 REVISIONS = 4
 """Rounds of adjusting the map and judging the links by it, at most."""
@@ -130,8 +132,11 @@ def build_map(
             raise ValueError(f"{image} is not among the images to map")
     ends = np.array([(index[x.image_i], index[x.image_j]) for x in links], dtype=np.int64)
     ends = ends.reshape(-1, 2)
-    views = _views(cameras, mounts, order, links)
-    screened = screen(links, ends, views.cameras, views.mounts)
+    group = _robots(order)
+    held = hold(links, ends, [cameras[x] for x in order], [mounts[x] for x in order], group)
+    usable = np.array([not reason for reason in held.reasons], dtype=bool)
+    views = Views([cameras[x] for x in order], held.expected, held.mounts, group)
+    screened = screen(links, ends, usable, views.cameras, views.held)
     planar, keep = screened.planar, screened.keep
     parts: list[Part] = []
     for _ in range(REVISIONS):
@@ -140,29 +145,17 @@ def build_map(
             for members in _connected(len(order), index[reference], ends[keep])
         ]
         errors_px = _errors_px(views, parts, ends, links)
-        revised = np.where(np.isnan(errors_px), keep, errors_px <= MAX_ERROR_PX)
+        revised = np.where(np.isnan(errors_px), keep, errors_px <= _limit_px(errors_px[keep]))
         if (revised == keep).all():
             break
         planar, keep = _planar(parts, planar), revised
-    return _Gathered(order, views, parts, ends, links, keep).result(screened.reasons, errors_px)
+    return _Gathered(order, views, parts, ends, links, keep).result(held.reasons, errors_px)
 
 
-def _views(
-    cameras: Mapping[str, Camera],
-    mounts: Mapping[str, Mount],
-    order: Sequence[str],
-    links: Sequence[Link],
-) -> Views:
-    """Give the images numbers and find roughly how their robots hold their cameras."""
-    robots = {image: robot_of(image) for image in order}
-    matches = [(x.image_i, x.image_j, x.points_i, x.points_j) for x in links]
-    tuned = tuned_mounts(cameras, mounts, robots, matches)
-    names = list(dict.fromkeys(robots.values()))
-    return Views(
-        cameras=[cameras[image] for image in order],
-        mounts=[tuned[image] for image in order],
-        group=np.array([names.index(robots[image]) for image in order], dtype=np.int64),
-    )
+def _robots(order: Sequence[str]) -> Index:
+    """Return the number of the robot of each image, (N,)."""
+    names: dict[str, int] = {}
+    return np.array([names.setdefault(robot_of(x), len(names)) for x in order], dtype=np.int64)
 
 
 def _connected(count: int, reference: int, ends: Index) -> list[Index]:
@@ -200,6 +193,13 @@ def _errors_px(views: Views, parts: list[Part], ends: Index, links: Sequence[Lin
                 cameras = views.cameras[i], views.cameras[j]
                 errors[k] = median_error_px(links[k], cameras, (pose_i, pose_j))
     return errors
+
+
+def _limit_px(errors_px: Float) -> float:
+    """Median transfer error above which a link is wrong, from those of the kept links."""
+    known = errors_px[np.isfinite(errors_px)]
+    usual = float(np.median(known)) if len(known) else MAX_LIMIT_PX
+    return float(np.clip(STRAY * usual, MIN_LIMIT_PX, MAX_LIMIT_PX))
 
 
 def _planar(parts: list[Part], planar: Float) -> Float:

@@ -8,10 +8,13 @@ import numpy as np
 from gvpipe.core.adjustment import adjust, pose_covariances
 from gvpipe.core.ground_bundle import Problem
 from gvpipe.core.links import Link
-from gvpipe.core.pose import robot_from_camera, yaw_tilt_roll
+from gvpipe.core.pose import robot_from_camera, rotation_matrix, yaw_tilt_roll
 from gvpipe.core.rig import Rig, centres, orientation
 from gvpipe.core.tracks import Index, chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
+
+UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
+"""Uncertainty of a tilt that was not configured, radians: next to nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +44,16 @@ class Views:
     Attributes
     ----------
     cameras, mounts : sequence of Camera, sequence of Mount
-        Intrinsics, and starting values of how each camera is held.
+        Intrinsics, and how each camera is expected to be held.
+    held : sequence of Mount
+        Starting values of how each was held.
     group : (N,) int64
         Number of the robot of each image.
     """
 
     cameras: Sequence[Camera]
     mounts: Sequence[Mount]
+    held: Sequence[Mount]
     group: Index
 
 
@@ -96,7 +102,7 @@ def adjust_part(
     -------
     part : Part
     """
-    robots, group = np.unique(views.group[members], return_inverse=True)
+    _, group = np.unique(views.group[members], return_inverse=True)
     rig = Rig(
         matrix=np.stack([views.cameras[k].matrix for k in members.tolist()]),
         robot_from_camera=np.stack(
@@ -105,8 +111,7 @@ def adjust_part(
         height=np.array([views.mounts[k].height for k in members.tolist()]),
         group=group.ravel().astype(np.int64),
     )
-    start = np.zeros((len(members), 6))
-    start[:, :3] = _seen_from(planar[members[0]], planar[members])
+    start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
     if not links:
         return Part(members, _poses(rig, start), np.zeros((len(members), 6, 6)))
     slot = {int(k): n for n, k in enumerate(members)}
@@ -114,14 +119,43 @@ def adjust_part(
         [(slot[i], slot[j]) for i, j, _ in links],
         [(link.points_i, link.points_j) for _, _, link in links],
     )
-    sigma = [options.tilt_sigma, options.roll_sigma, options.scale_sigma]
     adjusted = adjust(
         Problem(rig, tracks, 0),
         start,
-        np.tile(sigma, (len(robots), 1)),
+        _mean_sigma(views, members, rig.group, options),
         None if options.height_sigma is None else options.height_sigma / float(rig.height.mean()),
     )
     return Part(members, _poses(rig, adjusted.state.cameras), pose_covariances(rig, adjusted, 0))
+
+
+def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:
+    """Uncertainty (G, 3) of each robot's configured leans and height."""
+    robots = int(group.max()) + 1
+    sigma = np.tile([options.tilt_sigma, options.roll_sigma, options.scale_sigma], (robots, 1))
+    for k, g in zip(members.tolist(), group.tolist(), strict=True):
+        if not views.mounts[k].tilt_known:
+            sigma[g, 0] = UNKNOWN_TILT_SIGMA
+    return sigma
+
+
+def _start(rig: Rig, held: Sequence[Mount], planar: Float) -> Float:
+    """Set up the unknowns (M, 6) of the adjustment, in the frame of the first robot."""
+    start = np.zeros((len(held), 6))
+    start[:, :3] = _seen_from(planar[0], planar)
+    for k, mount in enumerate(held):
+        # as a turn about a level axis, then a heading: what lies upright tells the axis
+        turned = robot_from_camera(mount).rotation @ rig.robot_from_camera[k].T
+        up = turned[2]
+        sine = np.hypot(up[0], up[1])
+        angle = np.arctan2(sine, up[2])
+        level = np.array([up[1], -up[0], 0.0]) * (angle / sine if sine > 1e-12 else 1.0)
+        heading = turned @ rotation_matrix(level).T
+        start[k, 2] += np.arctan2(heading[1, 0], heading[0, 0])
+        start[k, 3:5] = level[1], level[0]
+        start[k, 5] = np.log(mount.height / rig.height[k])
+    # the first camera's heading is held at zero
+    start[:, :3] = _seen_from(start[0, :3], start[:, :3])
+    return start
 
 
 def _seen_from(origin: Float, planar: Float) -> Float:

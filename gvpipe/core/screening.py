@@ -1,4 +1,4 @@
-"""First look at the links: which could be motions over the ground, and which agree."""
+"""First look at the links: where they place the images, and which of them agree."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +11,6 @@ from gvpipe.core.placement import Placement, place
 from gvpipe.core.tracks import Index
 from gvpipe.core.types import Camera, Float, Mount
 
-MIN_POINTS = 8
-"""Matches below which a link is not used: four fix a homography, the rest must confirm it."""
-
 TOLERANCE = 0.02
 """Share of the camera height by which two placements of the same ground may differ at least."""
 
@@ -23,9 +20,6 @@ ground, while loops and overlaps are found by resemblance."""
 
 HALF_TRUST_POINTS = 50.0
 """Matches at which a link has half the weight of one with very many."""
-
-MAX_RELATIVE_MISFIT = 0.25
-"""Misfit over extent above which matched points are not a motion over the ground."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +32,18 @@ class Screened:
         x, y (metres) and heading (radians) of every robot; a frame for each connected part.
     keep : (E,) bool
         Links that agree with each other.
-    reasons : list of str
-        Why a link cannot be used at all; empty for the others.
     """
 
     planar: Float
     keep: Mask
-    reasons: list[str]
 
 
 def screen(
-    links: Sequence[Link], ends: Index, cameras: Sequence[Camera], mounts: Sequence[Mount]
+    links: Sequence[Link],
+    ends: Index,
+    usable: Mask,
+    cameras: Sequence[Camera],
+    mounts: Sequence[Mount],
 ) -> Screened:
     """Place all images roughly on the ground and find the links that contradict each other.
 
@@ -58,8 +53,10 @@ def screen(
         E links.
     ends : (E, 2) int64
         Numbers of their images.
+    usable : (E,) bool
+        Links that could be motions over the ground.
     cameras, mounts : sequence of Camera, sequence of Mount
-        The N views.
+        The N views, held as each picture shows.
 
     Returns
     -------
@@ -67,37 +64,19 @@ def screen(
     """
     placed: list[Placement] = []
     used = []
-    reasons = [""] * len(links)
-    for k, (i, j) in enumerate(ends.tolist()):
-        verdict = _placed(links[k], (cameras[i], cameras[j]), (mounts[i], mounts[j]))
-        if isinstance(verdict, str):
-            reasons[k] = verdict
-        else:
-            placed.append(verdict)
+    for k in np.nonzero(usable)[0].tolist():
+        i, j = ends[k].tolist()
+        link, pair = links[k], (cameras[i], cameras[j])
+        placement = place(link.points_i, link.points_j, pair, (mounts[i], mounts[j]))
+        if placement is not None and placement.radius > 0:
+            placed.append(placement)
             used.append(k)
     which = np.array(used, dtype=np.int64)
     heights = np.array([mount.height for mount in mounts])
     planar, agrees = agree(_placements(links, placed, which, ends, heights), len(mounts))
     keep = np.zeros(len(links), dtype=bool)
     keep[which] = agrees
-    return Screened(planar, keep, reasons)
-
-
-def _placed(
-    link: Link, cameras: tuple[Camera, Camera], mounts: tuple[Mount, Mount]
-) -> Placement | str:
-    """Place one link, or say why that is impossible."""
-    if len(link.points_i) < MIN_POINTS:
-        return f"{len(link.points_i)} matches, fewer than {MIN_POINTS}"
-    placement = place(link.points_i, link.points_j, cameras, mounts)
-    if placement is None or placement.radius <= 0:
-        return "the matches do not lie on the ground before both cameras"
-    if placement.misfit > MAX_RELATIVE_MISFIT * placement.radius:
-        return (
-            f"not a motion over the ground: its matches miss by {placement.misfit:.3f} m "
-            f"over an extent of {placement.radius:.3f} m"
-        )
-    return placement
+    return Screened(planar, keep)
 
 
 def _placements(
