@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import spsolve
 
 from gvpipe.core.types import Float
 
@@ -60,20 +62,17 @@ def balance(
         Robust least squares (iteratively reweighted, Huber).
     """
     n, cameras = len(camera_of), int(camera_of.max(initial=-1)) + 1
+    rows = np.repeat(np.arange(len(first)), 4)
     columns = np.column_stack([first, second, n + camera_of[first], n + camera_of[second]])
     values = np.column_stack([np.ones(len(first)), -np.ones(len(first)), radii[:, 0], -radii[:, 1]])
+    shape = (len(first), n + cameras)
+    design = csr_array((values.ravel(), (rows, columns.ravel())), shape=shape)
+    prior = PRIOR_WEIGHT * eye_array(n + cameras)
     x: Float = np.zeros(n + cameras)
     weight: Float = np.ones(len(first))
     for _ in range(ROUNDS):
-        normal, right = np.zeros((n + cameras, n + cameras)), np.zeros(n + cameras)
-        for a in range(4):
-            np.add.at(right, columns[:, a], weight * values[:, a] * log_ratio)
-            for b in range(4):
-                np.add.at(
-                    normal, (columns[:, a], columns[:, b]), weight * values[:, a] * values[:, b]
-                )
-        normal[np.diag_indices(n + cameras)] += PRIOR_WEIGHT
-        x = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
-        residual = np.abs((x[columns] * values).sum(axis=1) - log_ratio)
+        weighted = design.T.multiply(weight).tocsr()
+        x = np.asarray(spsolve((weighted @ design + prior).tocsc(), weighted @ log_ratio))
+        residual = np.abs(design @ x - log_ratio)
         weight = np.asarray(1.0 / np.maximum(1.0, residual / ROBUST), dtype=np.float64)
     return Exposure(log_gain=x[:n], falloff=x[n:][camera_of])
