@@ -190,6 +190,21 @@ def test_nothing_is_seen_beyond_the_depth_limit():
     assert outline(view, RESOLUTION)[:, 0].max() >= ground[:, 0].max()
 
 
+@pytest.mark.parametrize("name", BLENDS)
+def test_the_black_border_of_undistortion_is_not_ground(ring, name):
+    views = []
+    for k, view in enumerate(ring):
+        pixels = view.pixels.copy()
+        pixels[:, : 9 + k] = pixels[140:] = pixels[:20, 170:] = 0
+        views.append(PosedView(view.image_id, pixels, CAMERA, view.map_from_camera))
+    raster = plan_raster(views, RESOLUTION)
+    mosaic = compose(views, raster, BLENDS[name])
+    seen = mosaic.views > 0
+    error = np.abs(mosaic.rgba[..., :3].astype(float) - truth(raster))[seen]
+    assert error.max() < 16.0
+    assert seen.sum() < (compose(ring, raster, BLENDS[name]).views > 0).sum()
+
+
 def test_absurd_rasters_are_refused(ring):
     with pytest.raises(ValueError, match="coarser resolution"):
         plan_raster(ring, 1e-6)

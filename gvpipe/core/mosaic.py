@@ -113,6 +113,8 @@ class _Composer:
         lens = np.array([camera.cx, camera.cy, camera.width / 2, gain, falloff])
         sample_view(
             p.view.pixels,
+            p.rows,
+            p.columns,
             p.pixel_from_raster @ shift,
             p.max_depth,
             lens,

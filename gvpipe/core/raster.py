@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gvpipe.core.ground import footprint, pixel_from_plane
+from gvpipe.core.kernels.mosaic import black_border
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
 from gvpipe.core.types import Float, PosedView
 
@@ -143,12 +145,16 @@ class PlacedView:
         Ground deeper than this is not used, metres.
     box : (u_min, v_min, u_max, v_max)
         Raster pixels outside of which the view shows nothing.
+    rows, columns : (H, 2), (W, 2) int32
+        First and last image pixel of each row and column inside the image's black border.
     """
 
     view: PosedView
     pixel_from_raster: Float
     max_depth: float
     box: tuple[float, float, float, float]
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
 
     def touches(self, column: int, row: int, width: int, height: int) -> bool:
         """Whether the view may show something of a rectangle of the raster."""
@@ -171,4 +177,5 @@ def place(view: PosedView, raster: MosaicRaster, depth: float) -> PlacedView | N
         depth,
         # half a pixel more on every side: a pixel's samples may lie beside its centre
         (float(u.min()) - 0.5, float(v.min()) - 0.5, float(u.max()) + 0.5, float(v.max()) + 0.5),
+        *black_border(view.pixels),
     )

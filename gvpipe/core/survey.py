@@ -196,6 +196,8 @@ class _Surveyor:
             camera = p.view.camera
             kernels.cell_colours(
                 p.view.pixels,
+                p.rows,
+                p.columns,
                 p.pixel_from_raster @ shift,
                 p.max_depth,
                 np.array([camera.cx, camera.cy]),

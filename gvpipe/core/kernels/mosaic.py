@@ -24,8 +24,40 @@ the depth a sample is nine times longer and only blurs."""
 
 
 @kernel
+def black_border(
+    pixels: NDArray[np.uint8],
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """First and last pixel of each row (H, 2) and column (W, 2) inside a picture's black border.
+
+    Undistortion leaves black where the camera saw nothing. One pixel more goes, because it is
+    half interpolated from black; where there is no black, nothing goes.
+    """
+    height, width = pixels.shape[0], pixels.shape[1]
+    rows, columns = np.empty((height, 2), np.int32), np.empty((width, 2), np.int32)
+    for v in range(height):
+        a, b = 0, width - 1
+        while a <= b and pixels[v, a, 0] == 0 and pixels[v, a, 1] == 0 and pixels[v, a, 2] == 0:
+            a += 1
+        while b >= a and pixels[v, b, 0] == 0 and pixels[v, b, 1] == 0 and pixels[v, b, 2] == 0:
+            b -= 1
+        rows[v, 0] = a + 1 if a > 0 else 0
+        rows[v, 1] = b - 1 if b < width - 1 else b
+    for u in range(width):
+        a, b = 0, height - 1
+        while a <= b and pixels[a, u, 0] == 0 and pixels[a, u, 1] == 0 and pixels[a, u, 2] == 0:
+            a += 1
+        while b >= a and pixels[b, u, 0] == 0 and pixels[b, u, 1] == 0 and pixels[b, u, 2] == 0:
+            b -= 1
+        columns[u, 0] = a + 1 if a > 0 else 0
+        columns[u, 1] = b - 1 if b < height - 1 else b
+    return rows, columns
+
+
+@kernel
 def sample_view(
     pixels: NDArray[np.uint8],
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
     pixel_from_tile: NDArray[np.float64],
     max_depth: float,
     lens: NDArray[np.float64],
@@ -40,7 +72,8 @@ def sample_view(
     """Add one picture's bilinear samples to a tile.
 
     ``pixel_from_tile`` takes tile pixels to image pixels, its third component the depth in
-    metres; samples deeper than `max_depth` or outside the picture are left out. The density is
+    metres; samples deeper than `max_depth`, outside the picture or in its black border (`rows` and
+    `columns` of :func:`black_border`) are left out. The density is
     image pixels per tile pixel, ``|det A| / depth^3``. `lens` holds the image centre, half the
     width, the log gain and the log falloff; `cells` the step and the first column and row of the
     tile in the clean map.
@@ -69,6 +102,8 @@ def sample_view(
             if not (0.0 <= x <= u_last and 0.0 <= y <= v_last):
                 continue
             x0, y0 = min(int(x), pixels.shape[1] - 2), min(int(y), pixels.shape[0] - 2)
+            if not (rows[y0, 0] <= x0 < rows[y0, 1] and columns[x0, 0] <= y0 < columns[x0, 1]):
+                continue
             fx, fy = np.float32(x - x0), np.float32(y - y0)
             k = count[v, u]
             # exp(-falloff r^2) to second order: exact to 0.2 % for the vignetting of real lenses

@@ -14,6 +14,8 @@ Single = NDArray[np.float32]
 @kernel
 def cell_colours(
     pixels: NDArray[np.uint8],
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
     pixel_from_cell: NDArray[np.float64],
     max_depth: float,
     centre: NDArray[np.float64],
@@ -42,6 +44,8 @@ def cell_colours(
                 if not (0.0 <= x <= u_last and 0.0 <= y <= v_last):
                     continue
                 i, j = min(int(x), pixels.shape[1] - 2), min(int(y), pixels.shape[0] - 2)
+                if not (rows[j, 0] <= i < rows[j, 1] and columns[i, 0] <= j < columns[i, 1]):
+                    continue
                 fx, fy = np.float32(x - i), np.float32(y - j)
                 w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
                 w10, w11 = (1 - fx) * fy, fx * fy
