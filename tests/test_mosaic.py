@@ -7,11 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from gvpipe.core.blend import BLENDS
+from gvpipe.core.blend import BLENDS, Samples
 from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.homography import apply, local_jacobian
-from gvpipe.core.mosaic import MosaicRaster, compose, compose_tiles, max_depth, outline, plan_raster
+from gvpipe.core.mosaic import compose, compose_tiles
 from gvpipe.core.pose import planar_pose
+from gvpipe.core.raster import MosaicRaster, max_depth, outline, plan_raster
 from gvpipe.core.types import Camera, Mount, PosedView
 from gvpipe.formats.raster import png_bytes, png_chunks, read_world_file, world_file
 
@@ -81,11 +82,18 @@ def test_mosaic_has_map_x_to_the_right_and_y_up(ring):
 
 
 @pytest.mark.parametrize("name", BLENDS)
-def test_threads_and_tiles_do_not_change_a_byte(ring, name):
+def test_threads_do_not_change_a_byte(ring, name):
     raster = plan_raster(ring, RESOLUTION)
     one, three = (compose(ring, raster, BLENDS[name], jobs) for jobs in (1, 3))
     np.testing.assert_array_equal(one.rgba, three.rgba)
     np.testing.assert_array_equal(one.views, three.views)
+    np.testing.assert_array_equal(one.log_odds, three.log_odds)
+
+
+@pytest.mark.parametrize("name", ["half", "best"])
+def test_tiles_leave_no_trace(ring, name):
+    raster = plan_raster(ring, RESOLUTION)
+    whole = compose(ring, raster, BLENDS[name])
     shifted = MosaicRaster(
         raster.width - 50,
         raster.height - 30,
@@ -95,7 +103,7 @@ def test_threads_and_tiles_do_not_change_a_byte(ring, name):
     )
     part = compose(ring, shifted, BLENDS[name])
     # the same ground pixel through other tiles: rounding may differ in the last bit
-    assert np.abs(part.rgba.astype(int) - one.rgba[30:, 50:]).max() <= 1
+    assert np.abs(part.rgba.astype(int) - whole.rgba[30:, 50:]).max() <= 1
 
 
 def test_tiles_cover_the_raster_once(ring):
@@ -107,7 +115,8 @@ def test_tiles_cover_the_raster_once(ring):
     assert (hits == 1).all()
 
 
-def test_robust_drops_what_few_views_see(ring):
+@pytest.mark.parametrize("name", ["robust", "half"])
+def test_what_few_views_see_is_dropped(ring, name):
     """Two of six views carry a red patch where the others see floor."""
     block = (0.0, 0.0, 0.3, (255, 0, 0))
     angles = np.radians(np.arange(0, 360, 60))
@@ -118,13 +127,13 @@ def test_robust_drops_what_few_views_see(ring):
     raster = plan_raster(views, RESOLUTION)
     u, v = -raster.x_min / RESOLUTION, raster.y_max / RESOLUTION
     window = np.s_[round(v) - 12 : round(v) + 12, round(u) - 12 : round(u) + 12]
-    mosaic = compose(views, raster, BLENDS["robust"])
+    mosaic = compose(views, raster, BLENDS[name])
     assert mosaic.views[window].min() >= 5
     error = np.abs(mosaic.rgba[window][..., :3] - truth(raster)[window])
     assert error.max() < 6.0
 
 
-def test_robust_is_the_printed_rule(ring):
+def test_half_is_the_printed_rule():
     """One pixel recomputed by hand: drop the farthest from the mean until ceil(n / 2) remain."""
     rng = np.random.default_rng(0)
     for n in (1, 2, 3, 4, 5, 8, 11):
@@ -139,7 +148,10 @@ def test_robust_is_the_printed_rule(ring):
                 rest.pop(int(np.argmax(far)))
         expected = samples[0, 0, rest].mean(axis=0)
         rgba = np.zeros((1, 1, 4), np.uint8)
-        BLENDS["robust"](samples.copy(), density.copy(), np.full((1, 1), n, np.int16), rgba)
+        room = Samples.empty(1, 1, n)
+        count = np.full((1, 1), n, np.int16)
+        kernel = BLENDS["half"].kernel
+        kernel(samples.copy(), density.copy(), room.clean, room.light, count, rgba)
         np.testing.assert_allclose(rgba[0, 0, :3], expected, atol=0.51)
 
 
@@ -176,6 +188,21 @@ def test_nothing_is_seen_beyond_the_depth_limit():
     assert depth.max() <= limit + 1e-9
     assert depth.max() > 0.95 * limit
     assert outline(view, RESOLUTION)[:, 0].max() >= ground[:, 0].max()
+
+
+@pytest.mark.parametrize("name", BLENDS)
+def test_the_black_border_of_undistortion_is_not_ground(ring, name):
+    views = []
+    for k, view in enumerate(ring):
+        pixels = view.pixels.copy()
+        pixels[:, : 9 + k] = pixels[140:] = pixels[:20, 170:] = 0
+        views.append(PosedView(view.image_id, pixels, CAMERA, view.map_from_camera))
+    raster = plan_raster(views, RESOLUTION)
+    mosaic = compose(views, raster, BLENDS[name])
+    seen = mosaic.views > 0
+    error = np.abs(mosaic.rgba[..., :3].astype(float) - truth(raster))[seen]
+    assert error.max() < 16.0
+    assert seen.sum() < (compose(ring, raster, BLENDS[name]).views > 0).sum()
 
 
 def test_absurd_rasters_are_refused(ring):

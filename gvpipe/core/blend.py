@@ -1,24 +1,86 @@
 """How one colour is made of all the views of a piece of ground."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.kernels.mosaic import blend_best, blend_robust
+from gvpipe.core.kernels.mosaic import blend_best, blend_half, blend_robust
 
 Single = NDArray[np.float32]
-Blend = Callable[[Single, Single, NDArray[np.int16], NDArray[np.uint8]], None]
-"""Fills ``rgba`` (h, w, 4) of a tile from its packed samples (h, w, n, 3), their densities
-(h, w, n) in image pixels per map pixel, and how many there are of each pixel (h, w)."""
+Counts = NDArray[np.int16]
 
-BLENDS: dict[str, Blend] = {"robust": blend_robust, "best": blend_best}
+
+@dataclass(frozen=True)
+class Samples:
+    """The packed samples of a tile: those of pixel (v, u) are ``[v, u, : count[v, u]]``.
+
+    Attributes
+    ----------
+    colours : (h, w, n, 3) float32
+        RGB, exposure and vignetting taken out.
+    density : (h, w, n) float32
+        Image pixels per map pixel.
+    clean : (h, w, n) float32
+        How surely the sample shows ground, 0 to 1.
+    light : (h, w, n, 2) float32
+        The brightness that was taken out, and its weight: less towards the edges of the image,
+        so that a weighted mean changes without steps.
+    count : (h, w) int16
+        Samples of each pixel.
+    """
+
+    colours: Single
+    density: Single
+    clean: Single
+    light: Single
+    count: Counts
+
+    @classmethod
+    def empty(cls, height: int, width: int, views: int) -> "Samples":
+        """Room for the samples of some views."""
+        shape = (height, width, views)
+        return cls(
+            colours=np.empty((*shape, 3), np.float32),
+            density=np.empty(shape, np.float32),
+            clean=np.empty(shape, np.float32),
+            light=np.empty((*shape, 2), np.float32),
+            count=np.zeros((height, width), np.int16),
+        )
+
+
+@dataclass(frozen=True)
+class Blend:
+    """A way to compose.
+
+    Attributes
+    ----------
+    kernel : callable
+        Fills ``rgba`` (h, w, 4) uint8 from the arrays of :class:`Samples`, which it may reorder.
+    surveys : bool
+        Whether it wants the views surveyed for obstacles and exposure first.
+    """
+
+    kernel: Callable[[Single, Single, Single, Single, Counts, NDArray[np.uint8]], None]
+    surveys: bool
+
+
+BLENDS: dict[str, Blend] = {
+    "robust": Blend(blend_robust, surveys=True),
+    "half": Blend(blend_half, surveys=False),
+    "best": Blend(blend_best, surveys=False),
+}
 """By name in the configuration.
 
+robust
+    Views that show an obstacle there are left out by the survey; the median of the others,
+    balanced in exposure and vignetting, is lit as the views are lit on average, with weights that
+    vanish at the edges of the images. The default.
+half
+    The sample farthest from the mean colour is dropped until half remain, and those are averaged
+    (thesis 3.2.1, steps 1 to 4).
 best
     The view that resolves the ground finest there: the highest density of image pixels,
     ``|det A| / |a3 . (X, Y, 1)|^3`` (thesis eq. 3.2.5 to 3.2.9, corrected).
-robust
-    The sample farthest from the mean colour is dropped until half remain, and those are averaged,
-    which takes obstacles away where most views see the ground (thesis 3.2.1, steps 1 to 4).
 """

@@ -1,4 +1,4 @@
-"""The overhead mosaic: its raster, and its composition tile by tile."""
+"""Composition of the overhead mosaic, tile by tile."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -7,52 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.blend import Blend
-from gvpipe.core.ground import footprint, pixel_from_plane
+from gvpipe.core.blend import Blend, Samples
 from gvpipe.core.kernels.mosaic import sample_view
-from gvpipe.core.pose import mount_of, yaw_tilt_roll
-from gvpipe.core.types import Float, PosedView
+from gvpipe.core.raster import MosaicRaster, PlacedView, max_depth, place, plan_raster
+from gvpipe.core.survey import Survey, survey
+from gvpipe.core.types import PosedView
 
-MAX_GRAZING = 6.0
-"""Depth limit in camera heights: ground seen under less than about 10 degrees, where one image
-row covers six times more ground than it is wide, and any error of tilt is multiplied by 30."""
-
-MAX_COARSENESS = 8.0
-"""Depth limit by resolution: views whose pixel is longer on the ground than this many map pixels
-only blur what nearer views show."""
-
-MAX_SIDE = 40_000
-"""Largest side of a mosaic, pixels: beyond it a pose or the resolution is absurd."""
+__all__ = ["Mosaic", "MosaicRaster", "MosaicTile", "compose", "compose_tiles", "plan_raster"]
 
 TILE = 128
 """Side of a tile, pixels: all samples of its pixels stay in the cache for some ten views."""
 
-
-@dataclass(frozen=True)
-class MosaicRaster:
-    """A raster of the ground, map x to the right and map y up.
-
-    Attributes
-    ----------
-    width, height : int
-        Size, pixels.
-    resolution : float
-        Metres per pixel.
-    x_min, y_max : float
-        Map coordinates of the centre of pixel (0, 0), the upper left one.
-    """
-
-    width: int
-    height: int
-    resolution: float
-    x_min: float
-    y_max: float
-
-    @property
-    def map_from_pixel(self) -> Float:
-        """(3, 3) map from pixels (u right, v down) to the map (x, y), metres."""
-        m = self.resolution
-        return np.array([[m, 0.0, self.x_min], [0.0, -m, self.y_max], [0.0, 0.0, 1.0]])
+ALL_CLEAN = np.full((1, 1), 255, np.uint8)
+"""Clean map of views that were not surveyed."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +34,15 @@ class MosaicTile:
         Colours, alpha 0 where nothing was seen.
     views : (h, w) int16
         How many views saw the pixel.
+    log_odds : (h, w) float32
+        Evidence of an obstacle, negative = free ground; 0 where the blend does not weigh it.
     """
 
     column: int
     row: int
     rgba: NDArray[np.uint8]
     views: NDArray[np.int16]
+    log_odds: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -87,132 +57,83 @@ class Mosaic:
         Colours, alpha 0 where nothing was seen.
     views : (height, width) int16
         How many views saw the pixel.
+    log_odds : (height, width) float32
+        Evidence of an obstacle, negative = free ground; 0 where the blend does not weigh it.
     """
 
     raster: MosaicRaster
     rgba: NDArray[np.uint8]
     views: NDArray[np.int16]
-
-
-def max_depth(view: PosedView, resolution: float) -> float:
-    """How deep along the optical axis a view's ground is worth using, metres.
-
-    Notes
-    -----
-    At depth w a camera of height h and focal length f has pixels of ``w / f`` across and
-    ``w^2 / (f h)`` along the line of sight, so both limits are limits of the depth.
-    """
-    height = float(view.map_from_camera.translation[2])
-    focal = min(view.camera.fx, view.camera.fy)
-    return float(min(MAX_GRAZING * height, np.sqrt(MAX_COARSENESS * resolution * focal * height)))
-
-
-def outline(view: PosedView, resolution: float) -> Float:
-    """Outline in the map of the usable ground of a view, (N, 2) metres; empty if there is none."""
-    mount = mount_of(view.map_from_camera)
-    if mount.height <= 0:
-        return np.empty((0, 2))
-    depth = max_depth(view, resolution)
-    # the ground at that depth is nowhere farther than at the slanted edges of the image
-    corner = np.hypot(view.camera.width / view.camera.fx, view.camera.height / view.camera.fy)
-    points = footprint(view.camera, mount, depth * float(np.hypot(1.0, corner)))
-    yaw = yaw_tilt_roll(view.map_from_camera.rotation)[0]
-    c, s = np.cos(yaw), np.sin(yaw)
-    return points @ np.array([[c, s], [-s, c]]) + view.map_from_camera.translation[:2]
-
-
-def plan_raster(views: Sequence[PosedView], resolution: float) -> MosaicRaster:
-    """Smallest raster that holds the usable ground of all views.
-
-    Parameters
-    ----------
-    views : sequence of PosedView
-        Cameras in the map.
-    resolution : float
-        Metres per pixel.
-
-    Returns
-    -------
-    raster : MosaicRaster
-        Pixel centres lie at whole multiples of the resolution, so that mosaics of the same map
-        lie on the same grid.
-
-    Raises
-    ------
-    ValueError
-        If no view sees ground, a pose is not finite or the raster would be larger than
-        40,000 pixels a side.
-    """
-    points = np.concatenate([outline(v, resolution) for v in views] or [np.empty((0, 2))])
-    if not len(points):
-        raise ValueError("no view sees usable ground")
-    if not np.isfinite(points).all():
-        raise ValueError("a pose is not finite")
-    low, high = np.floor(points.min(axis=0) / resolution), np.ceil(points.max(axis=0) / resolution)
-    width, height = high - low + 1
-    if max(width, height) > MAX_SIDE:
-        raise ValueError(
-            f"the mosaic would be {width:.0f} x {height:.0f} pixels of {resolution:g} m, more than "
-            f"{MAX_SIDE} a side: take a coarser resolution, or a pose is wrong"
-        )
-    return MosaicRaster(
-        width=int(width),
-        height=int(height),
-        resolution=resolution,
-        x_min=float(low[0] * resolution),
-        y_max=float(high[1] * resolution),
-    )
+    log_odds: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class _Placed:
-    """A view ready for sampling: homography from mosaic pixels, and its box in the mosaic."""
+class _Composer:
+    """What all tiles share."""
 
-    view: PosedView
-    pixel_from_mosaic: Float
-    max_depth: float
-    box: tuple[float, float, float, float]
+    placed: Sequence[PlacedView | None]
+    blend: Blend
+    survey: Survey | None
 
+    def tile(self, column: int, row: int, width: int, height: int) -> MosaicTile:
+        """Sample all views of a tile and blend them."""
+        inside = [
+            (k, p)
+            for k, p in enumerate(self.placed)
+            if p is not None and p.touches(column, row, width, height)
+        ]
+        rgba = np.zeros((height, width, 4), np.uint8)
+        samples = Samples.empty(height, width, len(inside))
+        if inside:
+            for k, p in inside:
+                self._sample(k, p, column, row, samples)
+            self.blend.kernel(
+                samples.colours, samples.density, samples.clean, samples.light, samples.count, rgba
+            )
+        return MosaicTile(
+            column, row, rgba, samples.count, self._evidence(column, row, width, height)
+        )
 
-def _place(view: PosedView, raster: MosaicRaster) -> _Placed | None:
-    """Prepare a view, or None if it sees no usable ground."""
-    points = outline(view, raster.resolution)
-    if not len(points):
-        return None
-    u = (points[:, 0] - raster.x_min) / raster.resolution
-    v = (raster.y_max - points[:, 1]) / raster.resolution
-    return _Placed(
-        view,
-        pixel_from_plane(view.camera, view.map_from_camera) @ raster.map_from_pixel,
-        max_depth(view, raster.resolution),
-        (float(u.min()), float(v.min()), float(u.max()), float(v.max())),
-    )
-
-
-def _compose_tile(
-    placed: Sequence[_Placed], column: int, row: int, width: int, height: int, blend: Blend
-) -> MosaicTile:
-    """Sample all views of a tile and blend them."""
-    inside = [
-        (k, p)
-        for k, p in enumerate(placed)
-        if p.box[0] < column + width
-        and p.box[2] >= column
-        and p.box[1] < row + height
-        and p.box[3] >= row
-    ]
-    rgba = np.zeros((height, width, 4), np.uint8)
-    count = np.zeros((height, width), np.int16)
-    if inside:
-        samples = np.empty((height, width, len(inside), 3), np.float32)
-        density = np.empty((height, width, len(inside)), np.float32)
-        views = np.empty((height, width, len(inside)), np.int16)
+    def _sample(self, k: int, p: PlacedView, column: int, row: int, samples: Samples) -> None:
+        """Add one view to the samples of a tile."""
         shift = np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
-        for k, p in inside:
-            a = p.pixel_from_mosaic @ shift
-            sample_view(p.view.pixels, a, p.max_depth, k, samples, density, views, count)
-        blend(samples, density, count, rgba)
-    return MosaicTile(column, row, rgba, count)
+        camera = p.view.camera
+        gain = falloff = 0.0
+        clean, cells = ALL_CLEAN, np.array([0.0, 0.0, 0.0])
+        if self.survey is not None:
+            gain = float(self.survey.exposure.log_gain[k])
+            falloff = float(self.survey.exposure.falloff[k])
+            f, there = self.survey.factor, self.survey.clean[k]
+            clean = there.weights
+            # cell = step * pixel + first, cell centres in the middle of their pixels
+            half = (f - 1) / 2
+            cells = np.array(
+                [1.0 / f, (column - half) / f - there.column, (row - half) / f - there.row]
+            )
+        lens = np.array([camera.cx, camera.cy, camera.width / 2, gain, falloff])
+        sample_view(
+            p.view.pixels,
+            p.rows,
+            p.columns,
+            p.pixel_from_raster @ shift,
+            p.max_depth,
+            lens,
+            clean,
+            cells,
+            samples.colours,
+            samples.density,
+            samples.clean,
+            samples.light,
+            samples.count,
+        )
+
+    def _evidence(self, column: int, row: int, width: int, height: int) -> NDArray[np.float32]:
+        """Log odds of the pixels of a tile: those of their cells."""
+        if self.survey is None:
+            return np.zeros((height, width), np.float32)
+        rows = np.arange(row, row + height) // self.survey.factor
+        columns = np.arange(column, column + width) // self.survey.factor
+        return self.survey.log_odds[rows[:, None], columns[None, :]]
 
 
 def compose_tiles(
@@ -235,12 +156,14 @@ def compose_tiles(
     ------
     tile : MosaicTile
     """
-    placed = [p for p in (_place(v, raster) for v in views) if p is not None]
+    looked = survey(views, raster, jobs) if blend.surveys and views else None
+    placed = [place(v, raster, max_depth(v, raster.resolution)) for v in views]
+    composer = _Composer(placed, blend, looked)
 
     def tile(corner: tuple[int, int]) -> MosaicTile:
         row, column = corner
         width, height = min(TILE, raster.width - column), min(TILE, raster.height - row)
-        return _compose_tile(placed, column, row, width, height, blend)
+        return composer.tile(column, row, width, height)
 
     corners = [(r, c) for r in range(0, raster.height, TILE) for c in range(0, raster.width, TILE)]
     with ThreadPoolExecutor(max_workers=max(jobs, 1)) as threads:
@@ -258,10 +181,11 @@ def compose(
     views: Sequence[PosedView], raster: MosaicRaster, blend: Blend, jobs: int = 1
 ) -> Mosaic:
     """Compose a whole mosaic in memory; parameters as for :func:`compose_tiles`."""
-    rgba = np.zeros((raster.height, raster.width, 4), np.uint8)
-    count = np.zeros((raster.height, raster.width), np.int16)
+    shape = (raster.height, raster.width)
+    rgba, count = np.zeros((*shape, 4), np.uint8), np.zeros(shape, np.int16)
+    log_odds = np.zeros(shape, np.float32)
     for tile in compose_tiles(views, raster, blend, jobs):
         h, w = tile.views.shape
         window = np.s_[tile.row : tile.row + h, tile.column : tile.column + w]
-        rgba[window], count[window] = tile.rgba, tile.views
-    return Mosaic(raster, rgba, count)
+        rgba[window], count[window], log_odds[window] = tile.rgba, tile.views, tile.log_odds
+    return Mosaic(raster, rgba, count, log_odds)

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 """Cell states, with the values of ROS occupancy grids."""
 
-OCCUPIED_LOG_ODDS = 1.4
-"""Evidence from which a cell counts as occupied: probability 0.8."""
+OCCUPIED_LOG_ODDS = 1.0
+"""Evidence from which a cell counts as occupied, probability 0.73: more than one direction of
+view contradicts the others."""
 
 MIN_OBSTACLE = 0.03
 """Width of the smallest obstacle, metres: narrower evidence is the edge of a texture."""
@@ -31,14 +32,15 @@ def occupancy(
     Returns
     -------
     cells : (H, W) int8
-        ``FREE`` where ground was seen, ``OCCUPIED`` where the evidence says so over a patch of
-        at least 3 cm, ``UNKNOWN`` elsewhere.
+        ``OCCUPIED`` where the evidence says so over a patch of at least 3 cm, ``FREE`` where
+        ground was seen and nothing speaks against it, ``UNKNOWN`` elsewhere.
     """
     side = max(1, round(MIN_OBSTACLE / resolution))
     patch = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     strong = (seen & (log_odds >= OCCUPIED_LOG_ODDS)).astype(np.uint8)
     occupied = cv2.morphologyEx(strong, cv2.MORPH_OPEN, patch).astype(np.bool_)
-    return np.where(occupied, OCCUPIED, np.where(seen, FREE, UNKNOWN)).astype(np.int8)
+    free = seen & (log_odds <= 0)
+    return np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
 
 
 def draw_footprints(

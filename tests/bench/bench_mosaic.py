@@ -14,8 +14,9 @@ import numpy as np
 
 from gvpipe.core.blend import BLENDS
 from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.mosaic import MosaicRaster, compose, max_depth
+from gvpipe.core.mosaic import compose
 from gvpipe.core.pose import planar_pose
+from gvpipe.core.raster import MosaicRaster, max_depth
 from gvpipe.core.types import Camera, Mount, PosedView
 
 CAMERA = Camera(640, 480, 560.0, 560.0, 319.5, 239.5)
@@ -45,10 +46,10 @@ def numpy_tiles(views: list[PosedView], raster: MosaicRaster, blend: str) -> np.
             v, u = np.mgrid[row : row + 500, column : column + 500].astype(np.float32)
             stack, density = [], []
             for view, a in zip(views, homographies, strict=True):
-                w = a[2, 0] * u + a[2, 1] * v + a[2, 2]
+                w = np.maximum(a[2, 0] * u + a[2, 1] * v + a[2, 2], 1e-3)
                 x = (a[0, 0] * u + a[0, 1] * v + a[0, 2]) / w
                 y = (a[1, 0] * u + a[1, 1] * v + a[1, 2]) / w
-                ok = (w > 0) & (w <= max_depth(view, raster.resolution))
+                ok = (w > 1e-3) & (w <= max_depth(view, raster.resolution))
                 ok &= (x >= 0) & (x <= 639) & (y >= 0) & (y <= 479)
                 if not ok.any():
                     continue
@@ -114,6 +115,7 @@ if __name__ == "__main__":
             ("gvpipe", "best", "2"),
             ("gvpipe", "robust", "1"),
             ("gvpipe", "robust", "2"),
-            ("numpy", "robust", "1"),
+            ("gvpipe", "half", "2"),
+            ("numpy", "half", "1"),
         ):
             subprocess.run([sys.executable, __file__, *case], check=True)

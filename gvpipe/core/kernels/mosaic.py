@@ -1,7 +1,7 @@
 """Sampling of pictures on a map tile, and the choice among the samples of one map pixel.
 
 A tile's samples are packed: pixel (v, u) of a tile has ``count[v, u]`` of them, in
-``samples[v, u, :count]`` (RGB, float32) with their densities and the number of their view.
+``colours[v, u, :count]`` and so on; see ``gvpipe.core.blend.Samples``.
 """
 
 import numpy as np
@@ -12,22 +12,71 @@ from gvpipe.core.kernels.jit import kernel
 Single = NDArray[np.float32]
 
 
+FEATHER = 0.1
+"""Share of the image's sides over which the weight of its light rises to 1."""
+
+CLEAN_SHARE = 0.5
+"""Samples are used down to this share of the cleanest one's weight."""
+
+COARSE_SHARE = 1.0 / 27.0
+"""Samples are used down to this share of the highest density among the clean ones: at three times
+the depth a sample is nine times longer and only blurs."""
+
+
+@kernel
+def black_border(
+    pixels: NDArray[np.uint8],
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """First and last pixel of each row (H, 2) and column (W, 2) inside a picture's black border.
+
+    Undistortion leaves black where the camera saw nothing. One pixel more goes, because it is
+    half interpolated from black; where there is no black, nothing goes.
+    """
+    height, width = pixels.shape[0], pixels.shape[1]
+    rows, columns = np.empty((height, 2), np.int32), np.empty((width, 2), np.int32)
+    for v in range(height):
+        a, b = 0, width - 1
+        while a <= b and pixels[v, a, 0] == 0 and pixels[v, a, 1] == 0 and pixels[v, a, 2] == 0:
+            a += 1
+        while b >= a and pixels[v, b, 0] == 0 and pixels[v, b, 1] == 0 and pixels[v, b, 2] == 0:
+            b -= 1
+        rows[v, 0] = a + 1 if a > 0 else 0
+        rows[v, 1] = b - 1 if b < width - 1 else b
+    for u in range(width):
+        a, b = 0, height - 1
+        while a <= b and pixels[a, u, 0] == 0 and pixels[a, u, 1] == 0 and pixels[a, u, 2] == 0:
+            a += 1
+        while b >= a and pixels[b, u, 0] == 0 and pixels[b, u, 1] == 0 and pixels[b, u, 2] == 0:
+            b -= 1
+        columns[u, 0] = a + 1 if a > 0 else 0
+        columns[u, 1] = b - 1 if b < height - 1 else b
+    return rows, columns
+
+
 @kernel
 def sample_view(
     pixels: NDArray[np.uint8],
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
     pixel_from_tile: NDArray[np.float64],
     max_depth: float,
-    view: int,
-    samples: Single,
+    lens: NDArray[np.float64],
+    clean_map: NDArray[np.uint8],
+    cells: NDArray[np.float64],
+    colours: Single,
     density: Single,
-    views: NDArray[np.int16],
+    clean: Single,
+    light: Single,
     count: NDArray[np.int16],
 ) -> None:
     """Add one picture's bilinear samples to a tile.
 
     ``pixel_from_tile`` takes tile pixels to image pixels, its third component the depth in
-    metres; samples deeper than `max_depth` or outside the picture are left out. The density is
-    image pixels per tile pixel, ``|det A| / depth^3``.
+    metres; samples deeper than `max_depth`, outside the picture or in its black border (`rows` and
+    `columns` of :func:`black_border`) are left out. The density is
+    image pixels per tile pixel, ``|det A| / depth^3``. `lens` holds the image centre, half the
+    width, the log gain and the log falloff; `cells` the step and the first column and row of the
+    tile in the clean map.
     """
     a = pixel_from_tile
     u_last, v_last = pixels.shape[1] - 1.0, pixels.shape[0] - 1.0
@@ -36,7 +85,14 @@ def sample_view(
         - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
         + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
     )
+    radius2, falloff = lens[2] * lens[2], lens[4]
+    dark = np.exp(-lens[3])
+    rise_u, rise_v = 1.0 / (FEATHER * u_last), 1.0 / (FEATHER * v_last)
+    h, width = clean_map.shape
     for v in range(count.shape[0]):
+        cell_v = min(max(cells[0] * v + cells[2], 0.0), h - 1.0)
+        j = min(int(cell_v), max(h - 2, 0))
+        j1, gv = min(j + 1, h - 1), cell_v - j
         for u in range(count.shape[1]):
             w = a[2, 0] * u + a[2, 1] * v + a[2, 2]
             if w <= 0.0 or w > max_depth:
@@ -46,21 +102,39 @@ def sample_view(
             if not (0.0 <= x <= u_last and 0.0 <= y <= v_last):
                 continue
             x0, y0 = min(int(x), pixels.shape[1] - 2), min(int(y), pixels.shape[0] - 2)
+            if not (rows[y0, 0] <= x0 < rows[y0, 1] and columns[x0, 0] <= y0 < columns[x0, 1]):
+                continue
             fx, fy = np.float32(x - x0), np.float32(y - y0)
             k = count[v, u]
+            # exp(-falloff r^2) to second order: exact to 0.2 % for the vignetting of real lenses
+            fade = -falloff * ((x - lens[0]) ** 2 + (y - lens[1]) ** 2) / radius2
+            correction = np.float32(dark * (1.0 + fade + 0.5 * fade * fade))
             for c in range(3):
                 p00, p01 = np.float32(pixels[y0, x0, c]), np.float32(pixels[y0, x0 + 1, c])
                 p10, p11 = np.float32(pixels[y0 + 1, x0, c]), np.float32(pixels[y0 + 1, x0 + 1, c])
                 top, bottom = p00 + fx * (p01 - p00), p10 + fx * (p11 - p10)
-                samples[v, u, k, c] = top + fy * (bottom - top)
+                colours[v, u, k, c] = correction * (top + fy * (bottom - top))
             density[v, u, k] = det / (w * w * w)
-            views[v, u, k] = view
+            cell_u = min(max(cells[0] * u + cells[1], 0.0), width - 1.0)
+            i = min(int(cell_u), max(width - 2, 0))
+            i1, gu = min(i + 1, width - 1), cell_u - i
+            upper = clean_map[j, i] + gu * (np.float64(clean_map[j, i1]) - clean_map[j, i])
+            lower = clean_map[j1, i] + gu * (np.float64(clean_map[j1, i1]) - clean_map[j1, i])
+            clean[v, u, k] = (upper + gv * (lower - upper)) / 255.0
+            inward = min(min(x, u_last - x) * rise_u, 1.0) * min(min(y, v_last - y) * rise_v, 1.0)
+            light[v, u, k, 0] = np.float32(1.0) / correction
+            light[v, u, k, 1] = inward * min((1.0 - w / max_depth) / FEATHER, 1.0) + 1e-3
             count[v, u] = k + 1
 
 
 @kernel
 def blend_best(
-    samples: Single, density: Single, count: NDArray[np.int16], rgba: NDArray[np.uint8]
+    colours: Single,
+    density: Single,
+    clean: Single,
+    light: Single,
+    count: NDArray[np.int16],
+    rgba: NDArray[np.uint8],
 ) -> None:
     """Keep the sample with the highest density of each pixel; the first of equals."""
     for v in range(count.shape[0]):
@@ -71,17 +145,22 @@ def blend_best(
                     best = k
             if best >= 0:
                 for c in range(3):
-                    rgba[v, u, c] = np.uint8(samples[v, u, best, c] + np.float32(0.5))
+                    rgba[v, u, c] = np.uint8(colours[v, u, best, c] + np.float32(0.5))
                 rgba[v, u, 3] = 255
 
 
 @kernel
-def blend_robust(
-    samples: Single, density: Single, count: NDArray[np.int16], rgba: NDArray[np.uint8]
+def blend_half(
+    colours: Single,
+    density: Single,
+    clean: Single,
+    light: Single,
+    count: NDArray[np.int16],
+    rgba: NDArray[np.uint8],
 ) -> None:
     """Drop the sample farthest from the mean until ceil(n / 2) remain; average the rest.
 
-    Of two equally far samples the one of lower density goes. Changes the order of `samples`.
+    Of two equally far samples the one of lower density goes. Changes the order of `colours`.
     """
     for v in range(count.shape[0]):
         for u in range(count.shape[1]):
@@ -89,7 +168,7 @@ def blend_robust(
             if n == 0:
                 continue
             r, g, b = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            p, q = samples[v, u], density[v, u]
+            p, q = colours[v, u], density[v, u]
             for k in range(n):
                 r += p[k, 0]
                 g += p[k, 1]
@@ -115,4 +194,51 @@ def blend_robust(
             rgba[v, u, 0] = np.uint8(max(r, np.float32(0.0)) * share + np.float32(0.5))
             rgba[v, u, 1] = np.uint8(max(g, np.float32(0.0)) * share + np.float32(0.5))
             rgba[v, u, 2] = np.uint8(max(b, np.float32(0.0)) * share + np.float32(0.5))
+            rgba[v, u, 3] = 255
+
+
+@kernel
+def blend_robust(
+    colours: Single,
+    density: Single,
+    clean: Single,
+    light: Single,
+    count: NDArray[np.int16],
+    rgba: NDArray[np.uint8],
+) -> None:
+    """Median of the clean samples of each pixel, in the mean light of all of them.
+
+    Changes the order of `colours`.
+    """
+    for v in range(count.shape[0]):
+        for u in range(count.shape[1]):
+            n = int(count[v, u])
+            if n == 0:
+                continue
+            cleanest, weight, lit = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for k in range(n):
+                cleanest = max(cleanest, clean[v, u, k])
+                weight += light[v, u, k, 1]
+                lit += light[v, u, k, 0] * light[v, u, k, 1]
+            finest = np.float32(0.0)
+            for k in range(n):
+                if clean[v, u, k] >= CLEAN_SHARE * cleanest:
+                    finest = max(finest, density[v, u, k])
+            p, m = colours[v, u], 0
+            for k in range(n):
+                if clean[v, u, k] >= CLEAN_SHARE * cleanest and (
+                    density[v, u, k] >= COARSE_SHARE * finest
+                ):
+                    for c in range(3):
+                        p[m, c] = p[k, c]
+                    m += 1
+            for c in range(3):
+                for k in range(1, m):
+                    value, at = p[k, c], k
+                    while at > 0 and p[at - 1, c] > value:
+                        p[at, c] = p[at - 1, c]
+                        at -= 1
+                    p[at, c] = value
+                middle = (p[m // 2, c] + p[(m - 1) // 2, c]) * np.float32(0.5) * (lit / weight)
+                rgba[v, u, c] = np.uint8(min(middle + np.float32(0.5), np.float32(255.0)))
             rgba[v, u, 3] = 255

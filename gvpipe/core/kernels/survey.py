@@ -1,0 +1,170 @@
+"""Coarse cells of the ground: their colour in every view, and the vote on which views see it.
+
+Arrays of a tile are (h, w, n): cells by views; a view that does not see a cell has share 0 there.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.kernels.jit import kernel
+
+Single = NDArray[np.float32]
+
+
+@kernel
+def cell_colours(
+    pixels: NDArray[np.uint8],
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    pixel_from_cell: NDArray[np.float64],
+    max_depth: float,
+    centre: NDArray[np.float64],
+    radius: float,
+    colours: Single,
+    radii: Single,
+) -> None:
+    """Mean colour of a picture over each cell, from three by three bilinear samples.
+
+    Writes ``colours[v, u]`` (RGB) and ``radii[v, u]``, the squared distance of the cell's centre
+    from the image centre in units of `radius`; -1 where the picture shows less than half of it.
+    """
+    a = pixel_from_cell
+    u_last, v_last = pixels.shape[1] - 1.0, pixels.shape[0] - 1.0
+    for v in range(radii.shape[0]):
+        for u in range(radii.shape[1]):
+            r, g, b, n = np.float32(0.0), np.float32(0.0), np.float32(0.0), 0
+            square = np.float32(0.0)
+            for k in range(9):
+                du, dv = u + (k % 3 - 1) / 3.0, v + (k // 3 - 1) / 3.0
+                w = a[2, 0] * du + a[2, 1] * dv + a[2, 2]
+                if w <= 0.0 or w > max_depth:
+                    continue
+                x = (a[0, 0] * du + a[0, 1] * dv + a[0, 2]) / w
+                y = (a[1, 0] * du + a[1, 1] * dv + a[1, 2]) / w
+                if not (0.0 <= x <= u_last and 0.0 <= y <= v_last):
+                    continue
+                i, j = min(int(x), pixels.shape[1] - 2), min(int(y), pixels.shape[0] - 2)
+                if not (rows[j, 0] <= i < rows[j, 1] and columns[i, 0] <= j < columns[i, 1]):
+                    continue
+                fx, fy = np.float32(x - i), np.float32(y - j)
+                w00, w01 = (1 - fx) * (1 - fy), fx * (1 - fy)
+                w10, w11 = (1 - fx) * fy, fx * fy
+                p, q = pixels[j, i], pixels[j, i + 1]
+                s, t = pixels[j + 1, i], pixels[j + 1, i + 1]
+                r += w00 * p[0] + w01 * q[0] + w10 * s[0] + w11 * t[0]
+                g += w00 * p[1] + w01 * q[1] + w10 * s[1] + w11 * t[1]
+                b += w00 * p[2] + w01 * q[2] + w10 * s[2] + w11 * t[2]
+                square += np.float32((x - centre[0]) ** 2 + (y - centre[1]) ** 2)
+                n += 1
+            if n < 5:
+                radii[v, u] = -1.0
+                continue
+            colours[v, u, 0], colours[v, u, 1], colours[v, u, 2] = r / n, g / n, b / n
+            radii[v, u] = square / (n * radius * radius)
+
+
+@kernel
+def vote(
+    colours: Single,
+    radii: Single,
+    cameras: NDArray[np.float64],
+    x_first: float,
+    y_first: float,
+    step: float,
+    reach: float,
+    spread: float,
+    weights: Single,
+    support: Single,
+) -> None:
+    """How much of the evidence in a cell backs each view's colour there.
+
+    `cameras` (n, 3) are the camera centres in the map, the cells lie at ``x_first + u step``,
+    ``y_first - v step``. A view's weight falls with the length of its line of sight over the
+    ground in camera heights (constant `reach`), since a longer one passes more places where an
+    obstacle may stand, and views from the same direction share one weight, since the same
+    obstacle hides the ground from all of them. The support of a view is the weight of all views
+    whose colour is like its own (Gaussian of deviation `spread`).
+    """
+    h, w, n = radii.shape
+    bearing_x, bearing_y = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    alone = np.zeros(n, np.float32)
+    scale = np.float32(-0.5 / (spread * spread))
+    for v in range(h):
+        for u in range(w):
+            for k in range(n):
+                weights[v, u, k] = 0.0
+                support[v, u, k] = 0.0
+                alone[k] = 0.0
+                if radii[v, u, k] < 0:
+                    continue
+                dx = cameras[k, 0] - (x_first + u * step)
+                dy = cameras[k, 1] - (y_first - v * step)
+                distance = max(np.sqrt(dx * dx + dy * dy), 1e-6)
+                bearing_x[k], bearing_y[k] = dx / distance, dy / distance
+                alone[k] = np.exp(-distance / (reach * cameras[k, 2]))
+            for k in range(n):
+                if alone[k] <= 0:
+                    continue
+                crowd = np.float32(0.0)
+                for m in range(n):
+                    if alone[m] > 0:
+                        c = bearing_x[k] * bearing_x[m] + bearing_y[k] * bearing_y[m]
+                        if c > 0:
+                            c *= c
+                            c *= c
+                            crowd += c * c * alone[m]
+                weights[v, u, k] = alone[k] / crowd
+            for k in range(n):
+                if alone[k] <= 0:
+                    continue
+                for m in range(n):
+                    if alone[m] > 0:
+                        r = colours[v, u, k, 0] - colours[v, u, m, 0]
+                        g = colours[v, u, k, 1] - colours[v, u, m, 1]
+                        b = colours[v, u, k, 2] - colours[v, u, m, 2]
+                        support[v, u, k] += weights[v, u, m] * np.exp(
+                            scale * (r * r + g * g + b * b)
+                        )
+
+
+@kernel
+def agree(
+    colours: Single,
+    radii: Single,
+    support: Single,
+    spread: float,
+    tolerance: float,
+    clean: Single,
+) -> None:
+    """Mark, per cell, how well each view's colour fits the ground there, 0 to 1.
+
+    The ground is the mean of the colours like that of the view with the highest `support`
+    (deviation `spread`); the fit is a Gaussian of deviation `tolerance` around it.
+    """
+    h, w, n = radii.shape
+    near, fit = -0.5 / (spread * spread), -0.5 / (tolerance * tolerance)
+    for v in range(h):
+        for u in range(w):
+            best = -1
+            for k in range(n):
+                clean[v, u, k] = 0.0
+                if radii[v, u, k] >= 0 and (best < 0 or support[v, u, k] > support[v, u, best]):
+                    best = k
+            if best < 0:
+                continue
+            total, r, g, b = 0.0, 0.0, 0.0, 0.0
+            for k in range(n):
+                if radii[v, u, k] >= 0:
+                    c, d = colours[v, u, k], colours[v, u, best]
+                    s = (c[0] - d[0]) ** 2 + (c[1] - d[1]) ** 2 + (c[2] - d[2]) ** 2
+                    weight = np.exp(near * s)
+                    total += weight
+                    r += weight * c[0]
+                    g += weight * c[1]
+                    b += weight * c[2]
+            r, g, b = r / total, g / total, b / total
+            for k in range(n):
+                if radii[v, u, k] >= 0:
+                    c = colours[v, u, k]
+                    s = (c[0] - r) ** 2 + (c[1] - g) ** 2 + (c[2] - b) ** 2
+                    clean[v, u, k] = np.exp(fit * s)

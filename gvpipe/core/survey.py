@@ -1,0 +1,324 @@
+"""A coarse look at all views before they are composed: which of them see ground, and how bright.
+
+An obstacle does not lie in the ground plane, so in every overhead view it is smeared away from
+the camera, over ground that other views see. Cell by cell the views vote on the colour of the
+ground; a vote counts by direction, by length of the line of sight, and by how common its colour
+is on ground that views from several sides agree on.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.exposure import Exposure, balance
+from gvpipe.core.groundcolours import GroundColours, colour_bins
+from gvpipe.core.kernels import survey as kernels
+from gvpipe.core.raster import MosaicRaster, PlacedView, max_depth, place
+from gvpipe.core.types import Float, PosedView
+
+CELLS_PER_HEIGHT = 25.0
+"""Cells in one camera height: 2 to 3 cm for a robot, smaller than what it must not run into and
+large enough to average the grain of the floor and a pixel of misregistration."""
+
+TILE = 24
+"""Side of a survey tile, cells: about a camera height, the neighbourhood of ground colours."""
+
+MARGIN = 2
+"""Cells around a tile that its smoothing needs."""
+
+REACH_HEIGHTS = 4.0
+"""Line of sight over the ground, in camera heights, at which a vote has lost 63 % of its weight."""
+
+LIKE = 15.0
+"""Colours closer than this (grey levels, RGB distance) are the same: noise and registration."""
+
+FIT = 20.0
+"""Colours closer than this to the ground's are ground."""
+
+COLOUR_WEIGHT = 0.15
+"""Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^6
+times rarer counts about as much as one view from a direction of its own."""
+
+SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
+"""Cells where four fifths of at least one and a bit directions agree teach the ground's colours."""
+
+MAX_SPOTS = 60_000
+"""Spots in the estimate of exposures: some hundred for each of hundreds of views."""
+
+CACHE_BYTES = 60_000_000
+"""Cells kept between the passes; what is beyond is sampled again."""
+
+LOG_ODDS = 0.85
+"""Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
+
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class CleanMap:
+    """Where a view shows ground, in cells.
+
+    Attributes
+    ----------
+    column, row : int
+        Cell of its first value.
+    weights : (h, w) uint8
+        255 = surely ground, 0 = surely an obstacle, or not seen.
+    """
+
+    column: int
+    row: int
+    weights: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the coarse look found.
+
+    Attributes
+    ----------
+    factor : int
+        Mosaic pixels in a cell's side.
+    raster : MosaicRaster
+        The cells.
+    exposure : Exposure
+        Brightness of the views.
+    clean : tuple of CleanMap
+        One of each view.
+    log_odds : (H, W) float32
+        Evidence of an obstacle in each cell, negative = free ground.
+    """
+
+    factor: int
+    raster: MosaicRaster
+    exposure: Exposure
+    clean: tuple[CleanMap, ...]
+    log_odds: Single
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A tile of cells: views that may see it, colours (h, w, n, 3), radii (h, w, n)."""
+
+    column: int
+    row: int
+    views: NDArray[np.intp]
+    colours: Single
+    radii: Single
+
+
+def survey(views: Sequence[PosedView], raster: MosaicRaster, jobs: int = 1) -> Survey:
+    """Look at all views in coarse cells.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+        Pictures with their poses in the map.
+    raster : MosaicRaster
+        The mosaic to be composed.
+    jobs : int
+        Threads; the result does not depend on it.
+
+    Returns
+    -------
+    survey : Survey
+    """
+    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
+    factor = max(1, round(height / CELLS_PER_HEIGHT / raster.resolution))
+    return _Surveyor(views, raster, factor, jobs).run()
+
+
+class _Surveyor:
+    """The passes over the tiles, with the cells they share."""
+
+    def __init__(
+        self, views: Sequence[PosedView], raster: MosaicRaster, factor: int, jobs: int
+    ) -> None:
+        self.views, self.factor, self.jobs = views, factor, jobs
+        self.cells = raster.coarser(factor)
+        self.placed = [place(v, self.cells, max_depth(v, raster.resolution)) for v in views]
+        self.cameras = np.array([v.map_from_camera.translation for v in views])
+        self.cache: dict[tuple[int, int], _Look] = {}
+        self.room = CACHE_BYTES
+        self.tiles = [
+            (row, column)
+            for row in range(0, self.cells.height, TILE)
+            for column in range(0, self.cells.width, TILE)
+        ]
+
+    def run(self) -> Survey:
+        with ThreadPoolExecutor(max_workers=max(self.jobs, 1)) as threads:
+            exposure = self._balance([s for s in threads.map(self._spots, self.tiles) if len(s)])
+            tallies = threads.map(lambda t: self._tally(t, exposure), self.tiles)
+            known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
+            maps = [self._blank(p) for p in self.placed]
+            evidence = np.zeros((self.cells.height, self.cells.width), np.float32)
+            for tile, (look, clean, odds) in zip(
+                self.tiles,
+                threads.map(lambda t: self._judge(t, exposure, known.around(t)), self.tiles),
+                strict=True,
+            ):
+                evidence[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE] = odds
+                for k, weights in zip(look.views, np.moveaxis(clean, 2, 0), strict=True):
+                    _paste(maps[k], tile, weights)
+        return Survey(self.factor, self.cells, exposure, tuple(maps), evidence)
+
+    def _blank(self, placed: PlacedView | None) -> CleanMap:
+        """Map of a view with nothing in it, as large as what the view may show."""
+        if placed is None:
+            return CleanMap(0, 0, np.zeros((1, 1), np.uint8))
+        u_min, v_min = (max(int(np.floor(b)), 0) for b in placed.box[:2])
+        u_max = min(int(np.ceil(placed.box[2])), self.cells.width - 1)
+        v_max = min(int(np.ceil(placed.box[3])), self.cells.height - 1)
+        size = (max(v_max - v_min + 1, 1), max(u_max - u_min + 1, 1))
+        return CleanMap(u_min, v_min, np.zeros(size, np.uint8))
+
+    def _look(self, tile: tuple[int, int]) -> _Look:
+        """Sample the cells of a tile and its margin in all views."""
+        if (kept := self.cache.get(tile)) is not None:
+            return kept
+        row, column = tile[0] - MARGIN, tile[1] - MARGIN
+        height = min(TILE, self.cells.height - tile[0]) + 2 * MARGIN
+        width = min(TILE, self.cells.width - tile[1]) + 2 * MARGIN
+        seen = [
+            (k, p)
+            for k, p in enumerate(self.placed)
+            if p is not None and p.touches(column, row, width, height)
+        ]
+        colours = np.zeros((len(seen), height, width, 3), np.float32)
+        radii = np.empty((len(seen), height, width), np.float32)
+        shift = np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
+        for n, (_, p) in enumerate(seen):
+            camera = p.view.camera
+            kernels.cell_colours(
+                p.view.pixels,
+                p.rows,
+                p.columns,
+                p.pixel_from_raster @ shift,
+                p.max_depth,
+                np.array([camera.cx, camera.cy]),
+                camera.width / 2,
+                colours[n],
+                radii[n],
+            )
+        look = _Look(
+            column,
+            row,
+            np.array([k for k, _ in seen], dtype=np.intp),
+            np.ascontiguousarray(np.moveaxis(colours, 0, 2)),
+            np.ascontiguousarray(np.moveaxis(radii, 0, 2)),
+        )
+        size = look.colours.nbytes + look.radii.nbytes
+        if size <= self.room:
+            self.room -= size
+            self.cache[tile] = look
+        return look
+
+    def _spots(self, tile: tuple[int, int]) -> Float:
+        """Cells seen by successive views: (N, 5) of views i and j, log ratio, radii in i and j."""
+        look = self._look(tile)
+        if not len(look.views):
+            return np.empty((0, 5))
+        total = self.cells.width * self.cells.height
+        step = max(1, round(float(np.sqrt(total / MAX_SPOTS))))
+        colours = look.colours[::step, ::step].reshape(-1, len(look.views), 3)
+        radii = look.radii[::step, ::step].reshape(-1, len(look.views))
+        light = np.log1p(colours.mean(axis=2, dtype=np.float64))
+        rows = []
+        for a in range(len(look.views)):
+            # the next view that sees the cell, round the list, so that every chain closes
+            unpaired = radii[:, a] >= 0
+            for b in (*range(a + 1, len(look.views)), *range(a)):
+                both = unpaired & (radii[:, b] >= 0)
+                unpaired &= ~both
+                if both.any():
+                    ratio = light[both, a] - light[both, b]
+                    ids = np.broadcast_to(look.views[[a, b]], (len(ratio), 2))
+                    rows.append(np.column_stack([ids, ratio, radii[both][:, [a, b]]]))
+        return np.concatenate(rows) if rows else np.empty((0, 5))
+
+    def _balance(self, spots: list[Float]) -> Exposure:
+        """Exposures from the spots of all tiles."""
+        cameras = {c: k for k, c in enumerate(dict.fromkeys(v.camera for v in self.views))}
+        camera_of = np.array([cameras[v.camera] for v in self.views], dtype=np.intp)
+        s = np.concatenate([np.empty((0, 5)), *spots])
+        i, j = s[:, 0].astype(np.intp), s[:, 1].astype(np.intp)
+        return balance(i, j, s[:, 2], s[:, 3:], camera_of)
+
+    def _vote(self, look: _Look, exposure: Exposure) -> tuple[Single, Single, Single]:
+        """Balanced colours, weights and support of a tile's views."""
+        gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
+        colours = look.colours * np.exp(-gain)[..., None].astype(np.float32)
+        weights, support = np.empty_like(look.radii), np.empty_like(look.radii)
+        m = self.cells.map_from_pixel
+        kernels.vote(
+            colours,
+            look.radii,
+            self.cameras[look.views],
+            m[0, 2] + m[0, 0] * look.column,
+            m[1, 2] + m[1, 1] * look.row,
+            self.cells.resolution,
+            REACH_HEIGHTS,
+            LIKE,
+            weights,
+            support,
+        )
+        return colours, weights, support
+
+    def _tally(self, tile: tuple[int, int], exposure: Exposure) -> NDArray[np.int64]:
+        """Colour bins of a tile's sure ground and how often each occurs, (2, m)."""
+        look = self._look(tile)
+        if not len(look.views):
+            return np.empty((2, 0), np.int64)
+        colours, weights, support = self._vote(look, exposure)
+        best = support.argmax(axis=2)[..., None]
+        agreed = np.take_along_axis(support, best, axis=2)[..., 0]
+        total = weights.sum(axis=2)
+        sure = (agreed > SURE_SHARE * total) & (total > SURE_WEIGHT)
+        bins = colour_bins(np.take_along_axis(colours, best[..., None], axis=2)[sure, 0])
+        return np.array(np.unique(bins, return_counts=True))
+
+    def _judge(
+        self, tile: tuple[int, int], exposure: Exposure, likelihood: Single
+    ) -> tuple[_Look, NDArray[np.uint8], Single]:
+        """Clean weights (h, w, n) and log odds (h, w) of a tile, its margin cut off."""
+        look = self._look(tile)
+        inner = np.s_[MARGIN : len(look.radii) - MARGIN, MARGIN : look.radii.shape[1] - MARGIN]
+        clean = np.zeros_like(look.radii)
+        if not len(look.views):
+            return look, clean[inner].astype(np.uint8), np.zeros(clean[inner].shape[:2], np.float32)
+        colours, weights, support = self._vote(look, exposure)
+        seen = look.radii >= 0
+        support += COLOUR_WEIGHT * likelihood[colour_bins(colours)]
+        kernels.agree(colours, look.radii, _smooth(support, seen), LIKE, FIT, clean)
+        odds = 2 * LOG_ODDS * (weights * (0.5 - clean)).sum(axis=2)
+        rounded = np.rint(255 * clean[inner]).astype(np.uint8)
+        return look, rounded, odds[inner].astype(np.float32)
+
+
+def _paste(into: CleanMap, tile: tuple[int, int], weights: NDArray[np.uint8]) -> None:
+    """Copy a tile's weights of a view to their place in its map."""
+    row, column = tile[0] - into.row, tile[1] - into.column
+    h, w = into.weights.shape
+    top, left = max(row, 0), max(column, 0)
+    bottom, right = min(row + weights.shape[0], h), min(column + weights.shape[1], w)
+    if top < bottom and left < right:
+        into.weights[top:bottom, left:right] = weights[
+            top - row : bottom - row, left - column : right - column
+        ]
+
+
+def _smooth(values: Single, seen: NDArray[np.bool_]) -> Single:
+    """Mean over the seen cells around each cell, view by view; (h, w, n)."""
+    size = (2 * MARGIN + 1, 2 * MARGIN + 1)
+    out = np.empty_like(values)
+    for k in range(values.shape[2]):
+        here = np.ascontiguousarray(seen[..., k], dtype=np.float32)
+        filled = np.where(seen[..., k], values[..., k], np.float32(0.0))
+        share = np.maximum(cv2.blur(here, size), np.float32(1e-6))
+        out[..., k] = cv2.blur(filled, size) / share
+    return out

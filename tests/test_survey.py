@@ -1,0 +1,159 @@
+"""The survey: exposure, vignetting and obstacles of known views of a painted floor."""
+
+import numpy as np
+import pytest
+
+from gvpipe.core.blend import BLENDS
+from gvpipe.core.exposure import balance
+from gvpipe.core.ground import pixel_from_plane
+from gvpipe.core.homography import apply
+from gvpipe.core.mosaic import compose
+from gvpipe.core.pose import planar_pose
+from gvpipe.core.raster import plan_raster
+from gvpipe.core.survey import survey
+from gvpipe.core.types import Camera, Mount, Pose, PosedView
+
+CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)
+RESOLUTION = 0.01
+POST = (0.0, 0.0, 0.08, 0.35)  # x, y, half side, height
+FALLOFF = -0.15
+
+
+def floor(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Colours of the ground: grey-green waves, nothing red."""
+    waves = [np.sin(3 * x + y), np.cos(2 * y - x), np.sin(2 * x - 3 * y + 1)]
+    return np.stack([90 + 15 * waves[0], 120 + 30 * waves[1], 100 + 20 * waves[2]], axis=-1)
+
+
+def picture(pose: Pose, gain: float, falloff: float, post: bool) -> np.ndarray:
+    """Floor, and a red post that hides what is behind it; exposure and vignetting applied."""
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    pixels = np.column_stack([u.ravel(), v.ravel()]).astype(float)
+    ground = apply(np.linalg.inv(pixel_from_plane(CAMERA, pose)), pixels)
+    colours = floor(ground[:, 0], ground[:, 1])
+    if post:
+        x, y, side, height = POST
+        centre = pose.translation
+        # fractions of the sight line between which it is inside the post's walls and below its top
+        delta = ground - centre[:2]
+        with np.errstate(divide="ignore"):
+            low = (np.array([x, y]) - side - centre[:2]) / delta
+            high = (np.array([x, y]) + side - centre[:2]) / delta
+        enter = np.minimum(low, high).max(axis=1)
+        leave = np.minimum(np.maximum(low, high).min(axis=1), 1.0)
+        below = 1.0 - height / centre[2]
+        colours[np.maximum(enter, below) < leave] = (200, 20, 20)
+    r2 = ((pixels - (CAMERA.cx, CAMERA.cy)) ** 2).sum(axis=1) / (CAMERA.width / 2) ** 2
+    lit = colours * np.exp(gain + falloff * r2)[:, None]
+    return np.rint(lit).clip(0, 255).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 3)
+
+
+def ring(gains, falloff: float = 0.0, post: bool = True) -> list[PosedView]:
+    """Cameras around the origin, looking inwards."""
+    views = []
+    for k, gain in enumerate(gains):
+        a = 2 * np.pi * k / len(gains)
+        pose = planar_pose(-np.cos(a), -np.sin(a), a, Mount(np.radians(40), 0.0, 0.7))
+        views.append(PosedView(f"A/{k}", picture(pose, gain, falloff, post), CAMERA, pose))
+    return views
+
+
+def ground_at(raster, x, y):
+    """Pixels of map points."""
+    back = np.linalg.inv(raster.map_from_pixel)
+    uv = np.rint(apply(back, np.column_stack([x, y]).astype(float))).astype(int)
+    return uv[:, 1], uv[:, 0]
+
+
+def test_balance_recovers_exposures_and_vignetting():
+    rng = np.random.default_rng(0)
+    gains, falloff = rng.normal(0, 0.05, 6), np.array([-0.1, -0.2])
+    gains -= gains.mean()
+    camera_of = np.array([0, 0, 0, 1, 1, 1])
+    i, j = rng.integers(0, 6, 3000), rng.integers(0, 6, 3000)
+    i, j = i[i != j], j[i != j]
+    radii = rng.uniform(0, 1.5, (len(i), 2))
+    ratio = gains[i] - gains[j] + falloff[camera_of[i]] * radii[:, 0]
+    ratio -= falloff[camera_of[j]] * radii[:, 1]
+    ratio += rng.normal(0, 0.02, len(i))
+    ratio[::10] += rng.choice([-1.0, 1.0], len(ratio[::10]))  # obstacles
+    found = balance(i, j, ratio, radii, camera_of)
+    np.testing.assert_allclose(found.log_gain, gains, atol=0.01)
+    np.testing.assert_allclose(found.falloff, falloff[camera_of], atol=0.02)
+
+
+def test_balance_without_spots_changes_nothing():
+    none = np.empty(0, np.intp)
+    found = balance(none, none, np.empty(0), np.empty((0, 2)), np.zeros(3, np.intp))
+    np.testing.assert_array_equal(found.log_gain, np.zeros(3))
+
+
+def test_survey_finds_exposures_of_pictures():
+    gains = np.array([0.1, -0.08, 0.0, 0.05, -0.07, 0.0])
+    views = ring(gains, FALLOFF)
+    found = survey(views, plan_raster(views, RESOLUTION)).exposure
+    np.testing.assert_allclose(found.log_gain - found.log_gain.mean(), gains, atol=0.02)
+    np.testing.assert_allclose(found.falloff, FALLOFF, atol=0.05)
+
+
+def test_clean_maps_tell_ground_from_the_post():
+    views = ring(np.zeros(6))
+    found = survey(views, plan_raster(views, RESOLUTION))
+    # behind the post, seen from the first camera at (-1, 0), and beside it
+    back = np.linalg.inv(found.raster.map_from_pixel)
+    for x, y, ground in ((0.3, 0.0, False), (0.3, 0.35, True), (-0.3, 0.0, True)):
+        u, v = np.rint(apply(back, np.array([[x, y]]))[0]).astype(int)
+        there = found.clean[0]
+        assert (there.weights[v - there.row, u - there.column] > 127) is np.bool_(ground)
+
+
+def test_robust_mosaic_shows_the_ground_behind_the_post():
+    views = ring([0.08, -0.06, 0.0, 0.05, -0.07, 0.0], FALLOFF)
+    raster = plan_raster(views, RESOLUTION)
+    mosaic = compose(views, raster, BLENDS["robust"])
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    rows, columns = ground_at(raster, 0.3 * np.cos(angle), 0.3 * np.sin(angle))
+    shown = mosaic.rgba[rows, columns].astype(float)
+    assert (shown[:, 0] < shown[:, 1]).all()  # green, not red
+
+
+def test_no_seams_where_exposures_differ():
+    """Steps between neighbouring pixels stay those of the floor, but for a grey level or two."""
+    views = ring([0.1, -0.1, 0.1, -0.1, 0.1, -0.1], FALLOFF, post=False)
+    raster = plan_raster(views, RESOLUTION)
+    steps = {}
+    for name in ("robust", "best"):
+        mosaic = compose(views, raster, BLENDS[name])
+        seen = (mosaic.views[:, 1:] > 1) & (mosaic.views[:, :-1] > 1)
+        step = np.abs(np.diff(mosaic.rgba[..., :3].astype(int), axis=1)).max(axis=2)
+        steps[name] = np.percentile(step[seen], 99.9)
+    assert steps["robust"] <= 4
+    assert steps["best"] >= 2 * steps["robust"]
+
+
+def test_evidence_marks_the_post_and_frees_the_floor():
+    views = ring(np.zeros(6))
+    raster = plan_raster(views, RESOLUTION)
+    mosaic = compose(views, raster, BLENDS["robust"])
+    rows, columns = ground_at(raster, [0.35, -0.35, 0.0], [0.35, 0.3, -0.4])
+    assert (mosaic.log_odds[rows, columns] < 0).all()
+    assert (mosaic.log_odds[mosaic.views == 0] == 0).mean() > 0.95
+
+
+def test_survey_of_views_that_share_nothing():
+    pose = planar_pose(50.0, 0.0, 0.0, Mount(np.radians(40), 0.0, 0.7))
+    views = [*ring([0.0]), PosedView("A/far", picture(pose, 0.3, 0.0, False), CAMERA, pose)]
+    found = survey(views, plan_raster(views, 0.05))
+    np.testing.assert_array_equal(found.exposure.log_gain, [0.0, 0.0])
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_survey_does_not_depend_on_the_cache(monkeypatch, jobs):
+    views = ring([0.05, 0.0, -0.05])
+    raster = plan_raster(views, RESOLUTION)
+    kept = survey(views, raster, jobs)
+    monkeypatch.setattr("gvpipe.core.survey.CACHE_BYTES", 0)
+    again = survey(views, raster, jobs)
+    np.testing.assert_array_equal(kept.log_odds, again.log_odds)
+    for a, b in zip(kept.clean, again.clean, strict=True):
+        np.testing.assert_array_equal(a.weights, b.weights)
