@@ -1,11 +1,9 @@
 """The command line: six commands, one configuration file, documented exit codes."""
 
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +11,7 @@ from typer.core import TyperCommand
 
 from gvpipe import __version__
 from gvpipe.errors import GvpipeError, UsageError
+from gvpipe.supervisor import Terminated
 from gvpipe.tools import add_tools
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
@@ -152,20 +151,6 @@ def config_check(config: ConfigPath, overrides: Overrides = None, out: OutDir = 
     typer.echo(f"{config}: no errors")
 
 
-class _Terminated(BaseException):
-    """SIGTERM arrived; unwinds like an interruption so that everything is cleaned up."""
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise _Terminated
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the documented code."""
-    signal.signal(signal.SIGTERM, _terminate)
-    sys.exit(run(arguments))
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
@@ -186,7 +171,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    except _Terminated:
+    except Terminated:
         return EXIT_TERMINATED
     except Exception:
         import traceback
