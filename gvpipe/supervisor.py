@@ -86,6 +86,7 @@ def _say(message: str) -> None:
 def _work(work: Callable[[], int], alive: int, held: set[int | signal.Signals]) -> NoReturn:
     """Live as the working process."""
     threading.Thread(target=_die_with, args=(alive,), daemon=True).start()
+    _silence_libraries()
     try:
         for number in _SIGNALS:
             signal.signal(number, _unwind)
@@ -96,6 +97,17 @@ def _work(work: Callable[[], int], alive: int, held: set[int | signal.Signals]) 
     except Terminated:
         code = 128 + signal.SIGTERM
     sys.exit(code)
+
+
+def _silence_libraries() -> None:
+    """Leave standard error to gvpipe: decoders write there without naming the file they mean."""
+    if sys.stderr is None:  # closed by whoever started the program
+        return
+    ours = os.dup(sys.stderr.fileno())
+    sys.stderr = os.fdopen(ours, "w", buffering=1, errors="backslashreplace")
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
 
 
 def _unwind(number: int, frame: FrameType | None) -> None:
