@@ -1,6 +1,20 @@
-"""Run gvpipe as a module."""
+"""The program: the command line in a process of its own, watched over by a small one."""
 
-from gvpipe.cli import main
+import sys
+
+from gvpipe.supervisor import supervised
+
+
+def main() -> None:
+    """Run the command line and exit with the documented code."""
+    sys.exit(supervised(_command_line))
+
+
+def _command_line() -> int:
+    from gvpipe.cli import run  # late: a signal during this import is handled already
+
+    return run()
+
 
 if __name__ == "__main__":
     main()

@@ -1,18 +1,18 @@
 """The command line: six commands, one configuration file, documented exit codes."""
 
+import errno
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
 from gvpipe import __version__
-from gvpipe.errors import GvpipeError, UsageError
+from gvpipe.errors import GvpipeError, OutputError, ResourceError, UsageError
+from gvpipe.supervisor import Terminated
 from gvpipe.tools import add_tools
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
@@ -56,6 +56,15 @@ Jobs = Annotated[
     int | None,
     typer.Option(
         "--jobs", "-j", min=1, help="Processes at once.", show_default="the number of cores"
+    ),
+]
+MemoryLimit = Annotated[
+    str | None,
+    typer.Option(
+        "--memory-limit",
+        metavar="SIZE",
+        help="Most memory for all processes together, for example 500M or 2G; exit code 7 beyond.",
+        show_default="none",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Run even if the artefact is fresh.")]
@@ -109,6 +118,7 @@ def _stage_command(name: str) -> Callable[..., None]:
         out: OutDir = None,
         overrides: Overrides = None,
         jobs: Jobs = None,
+        memory_limit: MemoryLimit = None,
         force: Force = False,
         quiet: Quiet = False,
         verbose: Verbose = False,
@@ -116,14 +126,20 @@ def _stage_command(name: str) -> Callable[..., None]:
     ) -> None:
         if quiet and verbose:
             raise UsageError("--quiet and --verbose exclude each other")
+        from gvpipe.memory import jobs_within, keep_within, parse_size
+
+        jobs = jobs or len(os.sched_getaffinity(0))
+        if memory_limit is not None:
+            limit = parse_size(memory_limit)
+            jobs = jobs_within(limit, jobs)
+            keep_within(limit)
         from gvpipe.configfile import load_config
         from gvpipe.report import Reporter
         from gvpipe.runner import run_stage
 
         reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
         loaded = load_config(config, tuple(overrides or ()), out)
-        cores = len(os.sched_getaffinity(0))
-        run_stage(name, loaded, reporter, jobs=jobs or cores, force=force)
+        run_stage(name, loaded, reporter, jobs=jobs, force=force)
 
     return command
 
@@ -152,20 +168,6 @@ def config_check(config: ConfigPath, overrides: Overrides = None, out: OutDir = 
     typer.echo(f"{config}: no errors")
 
 
-class _Terminated(BaseException):
-    """SIGTERM arrived; unwinds like an interruption so that everything is cleaned up."""
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise _Terminated
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the documented code."""
-    signal.signal(signal.SIGTERM, _terminate)
-    sys.exit(run(arguments))
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
@@ -179,22 +181,49 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # typer prints usage errors itself and exits with 2
         return stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except GvpipeError as error:
-        from gvpipe.report import printable
-
-        message = "\n".join(printable(line) for line in str(error).split("\n"))
-        print(f"gvpipe: {message}", file=sys.stderr)  # noqa: T201
-        return error.exit_code
+        return _failed(error)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    except _Terminated:
+    except Terminated:
         return EXIT_TERMINATED
+    except MemoryError:
+        return _failed(ResourceError("memory ran out; fewer --jobs need less"))
+    except OSError as error:
+        if error.errno in _EXHAUSTED:
+            return _failed(ResourceError(f"the system has no more resources: {error.strerror}"))
+        if error.errno in _UNWRITABLE:  # files have raised their own errors
+            return _failed(OutputError(f"standard output: cannot be written: {error.strerror}"))
+        return _defect()
     except Exception:
-        import traceback
-
-        traceback.print_exc()
-        print(  # noqa: T201
-            "gvpipe: this is a defect in gvpipe; please report it with the lines above",
-            file=sys.stderr,
-        )
-        return EXIT_DEFECT
+        return _defect()
     return 0
+
+
+_EXHAUSTED = frozenset({errno.ENOMEM, errno.EAGAIN, errno.EMFILE, errno.ENFILE})
+"""What the system says when there is no more memory, or there are too many processes or files."""
+
+_UNWRITABLE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EIO})
+
+
+def _failed(error: GvpipeError) -> int:
+    """Print an expected error, every line of it safe for a terminal."""
+    from gvpipe.report import printable
+
+    message = "\n".join(printable(line) for line in str(error).split("\n"))
+    print(f"gvpipe: {message}", file=sys.stderr)  # noqa: T201
+    return error.exit_code
+
+
+def _defect() -> int:
+    """Print the traceback of an unexpected error, without the values of variables."""
+    import traceback
+
+    from gvpipe.report import printable
+
+    for line in traceback.format_exc().splitlines():
+        print(printable(line), file=sys.stderr)  # noqa: T201
+    print(  # noqa: T201
+        "gvpipe: this is a defect in gvpipe; please report it with the lines above",
+        file=sys.stderr,
+    )
+    return EXIT_DEFECT

@@ -1,12 +1,15 @@
 """An ordered map over worker processes whose results do not depend on their number."""
 
+import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
@@ -33,11 +36,31 @@ def _start_worker(shared: Any) -> None:
     """Prepare a worker: one thread for OpenCV, interrupts left to the parent."""
     global _shared
     _shared = shared
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
     import cv2
 
     cv2.setNumThreads(1)
+
+
+def _die_with_parent() -> None:
+    """End this worker when the process that started it is gone, however that ended."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold SIGINT back for a moment; processes started meanwhile never receive it.
+
+    A terminal sends it to all processes at once, but only the parent is to act on it.
+    """
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def _call(function: Callable[[Any, T], R], item: T) -> R:
@@ -98,7 +121,8 @@ class Workers(Generic[S]):
         waiting: deque[Future[R]] = deque()
         try:
             for item in items:
-                waiting.append(pool.submit(_call, function, item))
+                with _interrupts_held():
+                    waiting.append(pool.submit(_call, function, item))
                 if len(waiting) >= IN_FLIGHT_PER_WORKER * self._jobs:
                     yield waiting.popleft().result()
             while waiting:
@@ -110,7 +134,9 @@ class Workers(Generic[S]):
         """Run one item in a process of its own."""
         self._pool = self._start(1)
         try:
-            return self._pool.submit(_call, function, item).result()
+            with _interrupts_held():
+                future = self._pool.submit(_call, function, item)
+            return future.result()
         except BrokenProcessPool:
             return Crashed(item)
         finally:
@@ -133,8 +159,6 @@ class Workers(Generic[S]):
         processes = list((pool._processes or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
-            process.terminate()
+            process.kill()  # workers hold nothing that would need their cleaning up
         for process in processes:
-            process.join(timeout=1.0)
-            if process.is_alive():
-                process.kill()
+            process.join()

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -44,6 +45,17 @@ class _JsonLines(logging.Formatter):
         return json.dumps(row, ensure_ascii=True)
 
 
+class _Console(Console):
+    """A console whose reader may leave."""
+
+    def on_broken_pipe(self) -> None:
+        """Go on in silence: whoever read the output has seen enough."""
+        self.quiet = True
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self.file.fileno())
+        os.close(nowhere)
+
+
 class Reporter:
     """Progress and results of one command.
 
@@ -59,8 +71,8 @@ class Reporter:
 
     def __init__(self, *, quiet: bool = False, verbose: bool = False, log_json: bool = False):
         self.quiet = quiet
-        self._out = Console(soft_wrap=True, highlight=False)
-        self._err = Console(stderr=True, soft_wrap=True, highlight=False)
+        self._out = _Console(soft_wrap=True, highlight=False)
+        self._err = _Console(stderr=True, soft_wrap=True, highlight=False)
         self._live = self._err.is_terminal and not quiet and not log_json
         handler: logging.Handler
         if log_json:

@@ -11,7 +11,7 @@ PACKAGE = Path(gvpipe.__file__).parent
 
 LAYERS: list[set[str]] = [
     {"gvpipe", "gvpipe.errors", "gvpipe.core"},
-    {"gvpipe.names"},
+    {"gvpipe.names", "gvpipe.supervisor", "gvpipe.memory"},
     {"gvpipe.formats"},
     {"gvpipe.parallel", "gvpipe.records", "gvpipe.config", "gvpipe.output"},
     {"gvpipe.configcheck", "gvpipe.filelist", "gvpipe.examine", "gvpipe.pixels"},

@@ -10,6 +10,7 @@ import hashlib
 import io
 import threading
 import warnings
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,11 +91,15 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
     header = _read_header(raw, max_pixels)
     if isinstance(header, Rejected):
         return header
+    if not _is_whole(raw, header.format):
+        return Rejected(f"{header.format} data are truncated or corrupt")
     try:
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         bgr = cv2.imdecode(np.frombuffer(raw, np.uint8), flags)
-    except (cv2.error, MemoryError) as error:
-        return Rejected(f"{header.format} cannot be decoded: {type(error).__name__}")
+    except cv2.error as error:
+        if error.code == cv2.Error.StsNoMem:
+            raise MemoryError from error  # says nothing about the image
+        return Rejected(f"{header.format} cannot be decoded: {error.err}")
     if bgr is None:
         return Rejected(f"{header.format} data are truncated or corrupt")
     height, width = bgr.shape[:2]
@@ -141,6 +146,44 @@ def _read_header(raw: bytes, max_pixels: int) -> _Header | Rejected:
     if kind == "TIFF" and orientation not in (None, 1):
         return Rejected(f"is a TIFF with orientation tag {orientation}, which decoders apply")
     return _Header(kind, image.mode, width, height, orientation)
+
+
+def _is_whole(raw: bytes, kind: str) -> bool:
+    """Whether a file's data go on to their end and are sound.
+
+    OpenCV, depending on its version, returns what it has of a PNG that stops early, and of
+    damaged JPEG and TIFF data; Pillow refuses those, but takes a PNG without its end.
+    """
+    if kind == "PNG":
+        return _png_is_whole(raw)
+    if kind not in ("JPEG", "TIFF"):
+        return True
+    from PIL import Image as Pillow
+
+    try:
+        Pillow.open(io.BytesIO(raw), formats=(kind,)).load()
+    except MemoryError:
+        raise
+    except Exception:  # a parser of hostile bytes may raise anything
+        return False
+    return True
+
+
+def _png_is_whole(raw: bytes) -> bool:
+    """Whether a PNG's chunks follow each other, each with its checksum, up to the last."""
+    at = 8
+    while at + 12 <= len(raw):
+        length = int.from_bytes(raw[at : at + 4], "big")
+        end = at + 12 + length
+        if end > len(raw):
+            return False
+        checksum = int.from_bytes(raw[end - 4 : end], "big")
+        if zlib.crc32(memoryview(raw)[at + 4 : end - 4]) != checksum:
+            return False
+        if raw[at + 4 : at + 8] == b"IEND":
+            return True
+        at = end
+    return False
 
 
 def _orientation(image: object) -> int | None:
