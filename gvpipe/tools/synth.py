@@ -1,4 +1,4 @@
-"""Command lines of the tools around the chain; what they do is in :mod:`gvpipe.commands`."""
+"""Command line of ``gvpipe synth``."""
 
 import math
 from pathlib import Path
@@ -7,14 +7,11 @@ from typing import Annotated
 import typer
 
 from gvpipe.errors import UsageError
-
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")]
-LogJson = Annotated[bool, typer.Option("--log-json", help="Log as JSON lines on standard error.")]
+from gvpipe.tools.options import LogJson, Quiet, Verbose, option
 
 
-def add_tools(app: typer.Typer) -> None:
-    """Give the command line its tools."""
+def add(app: typer.Typer) -> None:
+    """Add the command."""
     app.command(
         "synth",
         help="Render photographs of a made-up scene with known truth. Says how much ground "
@@ -22,12 +19,6 @@ def add_tools(app: typer.Typer) -> None:
         "and spacing can be tried before driving.",
         epilog="Example: gvpipe synth trial --path line --images 12 --spacing 0.3 --tilt 35",
     )(synth)
-
-
-def _option(name: str, help_text: str, **more: object) -> typer.models.OptionInfo:
-    """Make an option, its help first."""
-    option: typer.models.OptionInfo = typer.Option(name, help=help_text, **more)  # type: ignore[arg-type]
-    return option
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -58,13 +49,13 @@ def synth(
         Path, typer.Argument(metavar="FOLDER", help="New folder for pictures, truth and CONFIG.")
     ],
     path: Annotated[
-        str, _option("--path", "circle, line, mower (to and fro), or a TUM file of camera poses.")
+        str, option("--path", "circle, line, mower (to and fro), or a TUM file of camera poses.")
     ] = "circle",
-    images: Annotated[int, _option("--images", "Pictures in all.", min=1, max=9999)] = 12,
-    robots: Annotated[int, _option("--robots", "Robots that share the path.", min=1, max=26)] = 1,
+    images: Annotated[int, option("--images", "Pictures in all.", min=1, max=9999)] = 12,
+    robots: Annotated[int, option("--robots", "Robots that share the path.", min=1, max=26)] = 1,
     radius: Annotated[
         float | None,
-        _option(
+        option(
             "--radius",
             "Of the circle, metres.",
             min=0.01,
@@ -72,50 +63,51 @@ def synth(
         ),
     ] = None,
     spacing: Annotated[
-        float, _option("--spacing", "Between stops, and rows of the mower, metres.", min=0.001)
+        float, option("--spacing", "Between stops, and rows of the mower, metres.", min=0.001)
     ] = 0.25,
-    rows: Annotated[int, _option("--rows", "Rows of the mower.", min=1)] = 3,
+    rows: Annotated[int, option("--rows", "Rows of the mower.", min=1)] = 3,
     height: Annotated[
-        float, _option("--height", "Camera above the ground, metres.", min=0.01, max=1000)
+        float, option("--height", "Camera above the ground, metres.", min=0.01, max=1000)
     ] = 0.6,
     tilt: Annotated[
-        float, _option("--tilt", "Optical axis below the horizon, degrees.", min=0.1, max=90)
+        float, option("--tilt", "Optical axis below the horizon, degrees.", min=0.1, max=90)
     ] = 40.0,
     roll: Annotated[
-        float, _option("--roll", "About the optical axis, degrees.", min=-44, max=44)
+        float, option("--roll", "About the optical axis, degrees.", min=-44, max=44)
     ] = 0.0,
     shake: Annotated[
-        float, _option("--shake", "How much tilt, roll and heading vary, degrees.", min=0, max=10)
+        float, option("--shake", "How much tilt, roll and heading vary, degrees.", min=0, max=10)
     ] = 0.0,
-    size: Annotated[str, _option("--size", "Of the pictures, pixels.")] = "640x480",
+    size: Annotated[str, option("--size", "Of the pictures, pixels.")] = "640x480",
     fov: Annotated[
-        float, _option("--fov", "Horizontal field of view, degrees.", min=5, max=140)
+        float, option("--fov", "Horizontal field of view, degrees.", min=5, max=140)
     ] = 63.0,
     distortion: Annotated[
-        str, _option("--distortion", "Lens, OpenCV order: k1,k2,p1,p2[,k3].")
+        str, option("--distortion", "Lens, OpenCV order: k1,k2,p1,p2[,k3].")
     ] = "",
     box: Annotated[
-        list[str] | None, _option("--box", "X,Y,WIDTH,DEPTH,HEIGHT[,YAW]; may be repeated.")
+        list[str] | None, option("--box", "X,Y,WIDTH,DEPTH,HEIGHT[,YAW]; may be repeated.")
     ] = None,
     cylinder: Annotated[
-        list[str] | None, _option("--cylinder", "X,Y,RADIUS,HEIGHT; may be repeated.")
+        list[str] | None, option("--cylinder", "X,Y,RADIUS,HEIGHT; may be repeated.")
     ] = None,
-    sphere: Annotated[list[str] | None, _option("--sphere", "X,Y,RADIUS; may be repeated.")] = None,
+    sphere: Annotated[list[str] | None, option("--sphere", "X,Y,RADIUS; may be repeated.")] = None,
     empty: Annotated[
-        bool, _option("--empty", "Nothing stands on the ground; else one of each.")
+        bool, option("--empty", "Nothing stands on the ground; else one of each.")
     ] = False,
     ground: Annotated[
-        str, _option("--ground", "stone, carpet, tiles, wood, or a picture of your floor.")
+        str, option("--ground", "stone, carpet, tiles, wood, or a picture of your floor.")
     ] = "stone",
-    noise: Annotated[float, _option("--noise", "Sensor noise, grey levels.", min=0, max=100)] = 1.5,
-    png: Annotated[bool, _option("--png", "Write PNG, not JPEG.")] = False,
-    seed: Annotated[int, _option("--seed", "Same seed, same pictures.", min=0)] = 0,
+    noise: Annotated[float, option("--noise", "Sensor noise, grey levels.", min=0, max=100)] = 1.5,
+    png: Annotated[bool, option("--png", "Write PNG, not JPEG.")] = False,
+    seed: Annotated[int, option("--seed", "Same seed, same pictures.", min=0)] = 0,
     quiet: Quiet = False,
     verbose: Verbose = False,
     log_json: LogJson = False,
 ) -> None:
     """Render photographs of a made-up scene, to plan a capture or to test."""
-    from gvpipe.commands.synth import Plan, default_solids, parse_solid, run
+    from gvpipe.commands.scene_plan import Plan, default_solids, parse_solid
+    from gvpipe.commands.synth import run
     from gvpipe.core.solids import KINDS
     from gvpipe.core.types import Camera, Mount
     from gvpipe.report import Reporter
