@@ -1,62 +1,94 @@
 """How likely each pixel of each view shows an obstacle rather than the ground."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.background import GroundModel, rendered_background
+from gvpipe.core.background import (
+    GroundModel,
+    GroundWitnesses,
+    SeenGround,
+    below_horizon,
+    reduced,
+    rendered_background,
+)
+from gvpipe.core.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.hull import (
+    down_to_ground,
+    region_grid,
+    regions_of,
+    render_mask,
+    search_grid,
+    tolerant_hull,
+)
+from gvpipe.core.likeness import GroundNoise, difference, features, learn_noise
+from gvpipe.core.photometry import levelled
+from gvpipe.core.segmentation import colour_gain, segment
 from gvpipe.core.types import PosedView
 
-Silhouette = NDArray[np.float32]
-"""(H, W) float32 probability in 0..1 that the pixel shows an obstacle, NaN where unknown."""
+__all__ = ["EvidenceOptions", "Silhouette", "silhouettes"]
 
+REDUCED_WIDTH = 400
+"""Pixels: the rounds before the last work on pictures reduced to about this width."""
 
-@dataclass(frozen=True)
-class EvidenceOptions:
-    """What turns pictures into evidence for obstacles.
+FIRST_SCALE = 20.0
+"""Levels within which colours of the same ground agree, before it is measured."""
 
-    Attributes
-    ----------
-    colour_scale : float
-        Colour difference, levels of 0..255 (Euclidean over RGB), at which the silhouette
-        probability reaches 63 % (the beta of thesis eq. 5.6.2 in 0..255).
-    view_floor : float
-        Lowest probability one view may contribute to a point, so that one accidental match of
-        colours cannot carve an obstacle alone.
-    min_views : int
-        Points that fewer views can judge count as free.
-    ground_softness : float
-        Height, metres, over which the ground factor rises (1 / alpha of thesis eq. 5.6.3).
-    consistency_scale : float
-        Colour deviation, levels of 0..255, that halves a view's consent (1 / gamma of thesis eq.
-        5.6.4).
-    area_floor : float
-        Smallest area weight g.
-    """
+SCALE_RANGE = (12.0, 60.0)
+"""Levels: the measured scale stays in this range, between JPEG noise and any other colour."""
 
-    colour_scale: float = 16.8
-    view_floor: float = 0.05
-    min_views: int = 3
-    ground_softness: float = 0.002
-    consistency_scale: float = 20.0
-    area_floor: float = 0.02
+CALIBRATION_VIEWS = 5
+"""Views that teach the noise of the ground; it depends on the ground more than on the view."""
+
+GAIN_LIMIT = 1.5
+"""Largest log odds of one pixel: texture that happens to match must not outvote its area."""
+
+HALF_SUPPORT = 0.7
+"""Weight of agreeing views at which the ground behind a pixel is half certain."""
+
+AGREEING_SHARE = 0.4
+"""Share of the open views that must agree for the ground behind a pixel to be certain."""
+
+OUTLINE_RADIUS = 2
+"""Pixels by which the comparison window smears an obstacle's difference over its outline."""
+
+REGION_VOXELS = 600_000
+"""Voxels of one region when obstacles are asked what they hide."""
+
+FINE_PER_HEIGHT = 100
+"""Voxels per camera height in those regions, at most."""
+
+MARGIN = 4
+"""Coarse voxels around a region: its tolerant hull may still grow."""
+
+KERNEL = cv2.getStructuringElement(
+    cv2.MORPH_ELLIPSE, (2 * OUTLINE_RADIUS + 1, 2 * OUTLINE_RADIUS + 1)
+)
 
 
 def silhouettes(
-    views: Sequence[PosedView], ground: GroundModel, options: EvidenceOptions
+    views: Sequence[PosedView], ground: GroundModel, options: EvidenceOptions, threads: int = 2
 ) -> list[Silhouette]:
     """Soft obstacle silhouettes of all views against the ground.
+
+    With ``options.background == "views"`` every view is compared with the ground as the other
+    views show it. What obstacles hide is found in rounds: silhouettes give a tolerant hull, the
+    hull says which views cannot see a ground point, and those lose their say.
 
     Parameters
     ----------
     views : sequence of PosedView
         Pictures with poses.
     ground : GroundModel
-        The ground without obstacles.
+        The ground without obstacles; used with ``options.background == "mosaic"``, and where
+        there are too few views to tell each other.
     options : EvidenceOptions
         Scales and thresholds.
+    threads : int
+        Views worked on side by side; does not change the result.
 
     Returns
     -------
@@ -64,7 +96,23 @@ def silhouettes(
         Probability that a pixel shows an obstacle, NaN where unknown (above the horizon, or the
         ground there was never seen).
     """
-    return [colour_silhouette(view, ground, options.colour_scale) for view in views]
+    if options.background == "mosaic" or len(views) < options.min_views:
+        return [colour_silhouette(view, ground, options.colour_scale) for view in views]
+    pictures = levelled(views)
+    pairs = list(zip(views, pictures, strict=True))
+    small = GroundWitnesses([reduced(v, p, _reduction(v)) for v, p in pairs])
+    scale = _colour_scale(small)
+    with ThreadPoolExecutor(threads) as pool:
+        hidden: list[NDArray[np.uint8]] = []
+        for index, tolerance in enumerate(options.tolerances):
+            shapes = _round(small, scale, options, index == 0, pool)
+            first_half = index < (len(options.tolerances) + 1) // 2
+            hidden = _hidden(small.views, shapes, options, tolerance, first_half, pool)
+            small.hide(hidden)
+        full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
+        if hidden:
+            full.hide(hidden)
+        return _round(full, scale, options, not hidden, pool)
 
 
 def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
@@ -73,3 +121,122 @@ def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float)
     squared = ((view.pixels - background.colour) ** 2).sum(axis=-1)
     probability = -np.expm1(-squared / colour_scale**2)
     return np.where(background.known, probability, np.nan).astype(np.float32)
+
+
+def _reduction(view: PosedView) -> int:
+    return max(1, round(view.camera.width / REDUCED_WIDTH))
+
+
+def _spread(count: int, wanted: int) -> list[int]:
+    """Choose some of the views, evenly spread over all."""
+    return sorted({int(k) for k in np.linspace(0, count - 1, wanted)})
+
+
+def _colour_scale(witnesses: GroundWitnesses) -> float:
+    """Twice the median distance between a picture and its background, levels."""
+    distances = []
+    for k in _spread(len(witnesses.views), CALIBRATION_VIEWS):
+        seen = witnesses.behind(k, FIRST_SCALE)
+        known = seen.open_weight > 1.5
+        off = witnesses.views[k].pixels[known] - seen.colour[known]
+        if len(off):
+            distances.append(float(np.median(np.sqrt((off**2).sum(axis=-1)))))
+    return float(np.clip(2 * np.median(distances or [FIRST_SCALE]), *SCALE_RANGE))
+
+
+def _round(
+    witnesses: GroundWitnesses,
+    scale: float,
+    options: EvidenceOptions,
+    first: bool,
+    pool: ThreadPoolExecutor,
+) -> list[Silhouette]:
+    """Silhouettes of all views, given what is known to be hidden."""
+    some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
+    noise = learn_noise(
+        [
+            features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
+                _every_other(seen.open_weight > 1.5)
+            )
+            for k, seen in zip(
+                some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True
+            )
+        ]
+    )
+
+    def one(index: int) -> Silhouette:
+        seen = witnesses.behind(index, scale)
+        return _silhouette(witnesses.views[index], seen, noise, options, first)
+
+    return list(pool.map(one, range(len(witnesses.views))))
+
+
+def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    thin = np.zeros_like(where)
+    thin[1::2, 1::2] = where[1::2, 1::2]
+    return thin
+
+
+def _silhouette(
+    view: PosedView,
+    seen: SeenGround,
+    noise: GroundNoise,
+    options: EvidenceOptions,
+    first: bool,
+) -> Silhouette:
+    """Cut one view into obstacle and ground."""
+    known = seen.support > 0
+    gain = _gain(view, seen, noise, options)
+    region = segment(gain, view.pixels, options.outline)
+    learnt = colour_gain(view.pixels, region, known, GAIN_LIMIT)
+    if first:
+        gain += options.first_colour_gain * learnt
+    else:  # by now colours decide only where the ground behind is not known
+        gain += options.colour_gain * learnt * (1 - np.clip(seen.support, 0, 1))
+    region = segment(gain, view.pixels, options.outline)
+    unknown = ~below_horizon(view) & (region <= 0.5)
+    return np.where(unknown, np.nan, region).astype(np.float32)
+
+
+def _gain(
+    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
+) -> NDArray[np.float32]:
+    """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
+    known = seen.support > 0
+    off = difference(features(view.pixels, seen.colour, known), noise)
+    off = cv2.erode(np.where(known, off, options.odds).astype(np.float32), KERNEL)
+    odds = np.clip(np.log((off + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
+    agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
+    certain = seen.support / (seen.support + HALF_SUPPORT) * np.clip(agreeing, 0, 1)
+    gain = np.where(known, odds * certain, 0)
+    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
+    return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
+
+
+def _hidden(
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    options: EvidenceOptions,
+    tolerance: float,
+    fill_down: bool,
+    pool: ThreadPoolExecutor,
+) -> list[NDArray[np.uint8]]:
+    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
+    coarse = search_grid(views)
+    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
+    solids = []
+    for region in regions_of(
+        tolerant_hull(views, shapes, coarse, options, tolerance), coarse, MARGIN
+    ):
+        grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
+        inside = tolerant_hull(views, shapes, grid, options, tolerance)
+        solids.append((down_to_ground(inside) if fill_down else inside, grid))
+
+    def one(index: int) -> NDArray[np.uint8]:
+        own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
+        mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
+        for inside, grid in solids:
+            mask = np.maximum(mask, render_mask(inside, grid, views[index]))
+        return mask
+
+    return list(pool.map(one, range(len(views))))

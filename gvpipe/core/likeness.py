@@ -1,0 +1,163 @@
+"""How far a picture differs from the ground expected in it, in units of what ground does itself."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.types import Image
+
+Single = NDArray[np.float32]
+Bool = NDArray[np.bool_]
+
+WINDOW = 1.5
+"""Standard deviation of the comparison window, pixels: texture needs a few, outlines no more."""
+
+BLURS = (0.8, 1.5)
+"""Extra blurs, pixels, under which the picture may match: the background was often seen from
+farther away."""
+
+CONTRAST = (0.6, 1.6)
+"""Range of the ratio of contrasts that light and gloss can make between views."""
+
+GROUND_LIKE = 4.0
+"""Difference, in units of the expected, up to which a pixel teaches the noise of the ground."""
+
+FLOORS = (1.0, 2.0)
+"""Least expected squares of texture and shade, levels squared: rounding and compression."""
+
+
+@dataclass(frozen=True)
+class Features:
+    """What is compared at each pixel, levels squared.
+
+    Attributes
+    ----------
+    texture : array of float32
+        Variance in the window that the background's texture, at any allowed contrast, does not
+        explain, summed over the channels.
+    shade : array of float32
+        Squared difference of the window's mean colours.
+    contrast : array of float32
+        Variance of the background in the window.
+    own : array of float32
+        Variance of the picture in the window.
+    """
+
+    texture: Single
+    shade: Single
+    contrast: Single
+    own: Single
+
+    def pick(self, where: Bool) -> "Features":
+        """Return the features at some pixels, (N,) each."""
+        return Features(
+            self.texture[where], self.shade[where], self.contrast[where], self.own[where]
+        )
+
+
+@dataclass(frozen=True)
+class GroundNoise:
+    """Expected squares on bare ground: ``base + slope * contrast``, levels squared."""
+
+    texture_base: float
+    texture_slope: float
+    shade_base: float
+    shade_slope: float
+
+
+def features(picture: Image, background: Single, known: Bool) -> Features:
+    """Compare a picture with its background, window by window.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8
+        RGB.
+    background : (H, W, 3) float32
+        Ground expected there.
+    known : (H, W) bool
+        Where the background is known.
+    """
+    inside = known.astype(np.float32)
+    share = np.maximum(_blur(inside, WINDOW), 1e-3)[..., None]
+
+    def mean(values: Single) -> Single:
+        average: Single = _blur(np.where(known[..., None], values, 0), WINDOW) / share
+        return average
+
+    base_mean = mean(background)
+    contrast = _variance(mean(background**2), base_mean)
+    texture = np.full(known.shape, np.inf, np.float32)
+    shade, own = texture, texture
+    for blur in (0.0, *BLURS):
+        image = picture.astype(np.float32)
+        if blur:
+            image = _blur(image, blur)
+        image_mean = mean(image)
+        variance = _variance(mean(image**2), image_mean)
+        common = (mean(image * background) - image_mean * base_mean).sum(axis=-1)
+        gain = np.clip(common / np.maximum(contrast, 1e-3), *CONTRAST)
+        left = variance - 2 * gain * common + gain**2 * contrast
+        texture = np.minimum(texture, np.maximum(left, 0)).astype(np.float32)
+        if not blur:
+            shade, own = ((image_mean - base_mean) ** 2).sum(axis=-1), variance
+    return Features(texture, shade, contrast, own)
+
+
+def difference(f: Features, noise: GroundNoise) -> Single:
+    """Difference from the ground in units of its expected square, about 1.5 on bare ground.
+
+    Where the background's texture is found again, a change of shade counts little: gloss and
+    soft light do that, obstacles do not.
+    """
+    texture_scale = noise.texture_base + noise.texture_slope * f.contrast + FLOORS[0]
+    shade_scale = noise.shade_base + noise.shade_slope * f.contrast + FLOORS[1]
+    explained = np.clip((f.own - f.texture) / np.maximum(f.own, 1e-3), 0, 1)
+    recognised = explained * f.contrast / (f.contrast + 4 * texture_scale)
+    total = f.texture / texture_scale + 0.5 * f.shade / shade_scale * (1 - recognised) ** 2
+    return np.asarray(total, np.float32)
+
+
+def learn_noise(samples: Sequence[Features]) -> GroundNoise:
+    """Fit the expected squares to pixels most of which show bare ground.
+
+    Starts from the pixels with small differences and alternates between fitting lines through
+    the medians of flat and of strongly textured ground and choosing the pixels that agree.
+    """
+    f = Features(
+        *(
+            np.concatenate([getattr(s, name) for s in samples])
+            for name in ("texture", "shade", "contrast", "own")
+        )
+    )
+    if len(f.texture) < 100:
+        return GroundNoise(1.0, 0.05, 4.0, 0.01)
+    use = (f.texture <= np.quantile(f.texture, 0.8)) & (f.shade <= np.quantile(f.shade, 0.7))
+    noise = GroundNoise(1.0, 0.0, 1.0, 0.0)
+    for _ in range(4):
+        if use.sum() < 100:
+            break
+        g = f.pick(use)
+        noise = GroundNoise(*_line(g.contrast, g.texture), *_line(g.contrast, g.shade))
+        use = difference(f, noise) < GROUND_LIKE
+    return noise
+
+
+def _line(x: Single, y: Single) -> tuple[float, float]:
+    """Fit base and slope, both >= 0, to the medians of the lowest and the highest third in x."""
+    low, high = np.quantile(x, [0.33, 0.67])
+    x0, y0 = np.median(x[x <= low]), np.median(y[x <= low])
+    x1, y1 = np.median(x[x >= high]), np.median(y[x >= high])
+    slope = max(0.0, float((y1 - y0) / max(x1 - x0, 1e-6)))
+    return max(float(y0 - slope * x0), 0.3 * float(y0)), slope
+
+
+def _blur(values: Single, sigma: float) -> Single:
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma), np.float32)
+
+
+def _variance(mean_square: Single, mean: Single) -> Single:
+    """Sum over the channels of the variance in the window."""
+    return np.asarray(np.maximum(mean_square - mean**2, 0).sum(axis=-1), np.float32)

@@ -1,0 +1,115 @@
+"""Cut a picture into obstacle and ground along its own edges."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gvpipe.core.kernels.segmentation import cut
+from gvpipe.core.types import Image
+
+Single = NDArray[np.float32]
+
+EDGE_FLOOR = 0.15
+"""Share of the cost of a cut that remains across the strongest edge."""
+
+EDGE_NOISE2 = 20.0
+"""Squared colour step, levels, that sensor noise alone makes between neighbours."""
+
+COARSEST = 200
+"""Pixels: a picture no larger than this along one side gets no coarser first guess."""
+
+ITERATIONS = 150
+"""Primal-dual steps at the coarsest size; a third of them suffice from a good first guess."""
+
+BINS = 16
+"""Bins a channel of the colour histograms: 16 levels each, about the scale of shading."""
+
+RARE = 1e-5
+"""Share of a histogram below which a colour counts as never seen."""
+
+LEAST_PIXELS = 200
+"""Obstacle pixels below which their histogram says nothing."""
+
+
+def segment(gain: Single, picture: Image, strength: float) -> Single:
+    """Find the region whose gain is largest, its outline cheap where the picture has edges.
+
+    Parameters
+    ----------
+    gain : (H, W) float32
+        Evidence for the region at each pixel, negative against it, 0 where unknown.
+    picture : (H, W, 3) uint8
+        Its edges attract the outline.
+    strength : float
+        Cost of a pixel of outline where the picture is flat, in units of gain.
+
+    Returns
+    -------
+    region : (H, W) float32
+        1 inside, 0 outside, in between where the evidence leaves it open.
+    """
+    height, width = gain.shape
+    iterations, start = ITERATIONS, (gain > 0).astype(np.float32)
+    if min(height, width) > COARSEST:
+        half = (width // 2, height // 2)
+        # four pixels of gain become one, two of outline: the balance doubles
+        coarse = segment(
+            2 * cv2.resize(gain, half, interpolation=cv2.INTER_AREA),
+            cv2.resize(picture, half, interpolation=cv2.INTER_AREA).astype(np.uint8),
+            strength,
+        )
+        start = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+        iterations //= 3
+    weight_x, weight_y = _outline_cost(picture, strength)
+    return cut(gain, weight_x, weight_y, iterations, np.ascontiguousarray(start, np.float32))
+
+
+def _outline_cost(picture: Image, strength: float) -> tuple[Single, Single]:
+    """Cost of a cut between a pixel and the next to the right, and the next below."""
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.7)
+    right = np.zeros(smooth.shape[:2], np.float32)
+    below = np.zeros_like(right)
+    right[:, :-1] = (np.diff(smooth, axis=1) ** 2).sum(axis=-1)
+    below[:-1] = (np.diff(smooth, axis=0) ** 2).sum(axis=-1)
+    scale2 = right.mean() + below.mean() + EDGE_NOISE2
+    x, y = (
+        (strength * (EDGE_FLOOR + (1 - EDGE_FLOOR) * np.exp(-d / scale2))).astype(np.float32)
+        for d in (right, below)
+    )
+    return x, y
+
+
+def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit: float) -> Single:
+    """How much more common each pixel's colour is inside a region than outside it.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8
+        RGB.
+    region : (H, W) float32
+        Membership in 0..1.
+    known : (H, W) bool
+        Pixels to learn from.
+    limit : float
+        Largest size of the answer.
+
+    Returns
+    -------
+    gain : (H, W) float32
+        Log ratio of the two histograms, within -limit..limit; 0 if the region is tiny.
+    """
+    cells = (picture >> 4).astype(np.int32)
+    index = (cells[..., 0] * BINS + cells[..., 1]) * BINS + cells[..., 2]
+    inside = region[known].astype(np.float64)
+    if inside.sum() < LEAST_PIXELS or (1 - inside).sum() < LEAST_PIXELS:
+        return np.zeros(region.shape, np.float32)
+    logs = []
+    for weight in (inside, 1 - inside):
+        counts = np.bincount(index[known], weights=weight, minlength=BINS**3)
+        share = counts.reshape(BINS, BINS, BINS) / counts.sum()
+        smooth = ndimage.gaussian_filter(share, 0.8, mode="nearest")
+        logs.append(np.log(smooth + RARE).ravel())
+    ratio = np.clip(logs[0] - logs[1], -limit, limit).astype(np.float32)
+    gain: Single = ratio[index]
+    return gain
