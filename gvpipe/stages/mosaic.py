@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from gvpipe.config import Config
 from gvpipe.core.blend import BLENDS
 from gvpipe.core.mosaic import Mosaic, compose, plan_raster
@@ -53,8 +51,7 @@ def write(outcome: Outcome[MosaicBody, Mosaic], folder: Path) -> None:
     mosaic, raster = outcome.payload, outcome.payload.raster
     (folder / "mosaic.png").write_bytes(png_bytes(mosaic.rgba))
     (folder / "mosaic.pgw").write_text(world_file(raster.map_from_pixel))
-    nothing = np.zeros(mosaic.views.shape, np.float32)
-    cells = occupancy(mosaic.views > 0, nothing, raster.resolution)
+    cells = occupancy(mosaic.views > 0, mosaic.log_odds, raster.resolution)
     y_min = raster.y_max - (raster.height - 1) * raster.resolution
     (folder / "map.pgm").write_bytes(pgm_bytes(cells))
     (folder / "map.yaml").write_text(yaml_text("map.pgm", raster.resolution, raster.x_min, y_min))

@@ -67,7 +67,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()
     ground = _ground(context)
-    shapes = silhouettes(views, ground, options)
+    shapes = silhouettes(views, ground, options, context.jobs)
     regions = find_regions(views, shapes, options)
     volumes = []
     with context.progress("reconstruct", len(regions)) as ticker:
