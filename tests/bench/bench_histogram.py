@@ -22,7 +22,7 @@ def main(n: int = 10_000) -> None:
             cpu.append(time.process_time() - start)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         sys.stdout.write(
-            f"{name:13s} {n} x {n}: {min(cpu):.2f} to {max(cpu):.2f} CPU s, peak memory {peak:.0f} MB\n"
+            f"{name:13s} {n} x {n}: {min(cpu):.2f} to {max(cpu):.2f} CPU s, peak {peak:.0f} MB\n"
         )
 
 
