@@ -14,10 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gvpipe.core.cleanmap import CleanMap
 from gvpipe.core.exposure import Exposure, balance
 from gvpipe.core.groundcolours import GroundColours, colour_bins
 from gvpipe.core.kernels import survey as kernels
-from gvpipe.core.raster import MosaicRaster, PlacedView, max_depth, place
+from gvpipe.core.raster import MosaicRaster, max_depth, place
 from gvpipe.core.types import Float, PosedView
 
 CELLS_PER_HEIGHT = 25.0
@@ -56,23 +57,6 @@ LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
 
 Single = NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class CleanMap:
-    """Where a view shows ground, in cells.
-
-    Attributes
-    ----------
-    column, row : int
-        Cell of its first value.
-    weights : (h, w) uint8
-        255 = surely ground, 0 = surely an obstacle, or not seen.
-    """
-
-    column: int
-    row: int
-    weights: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -155,7 +139,7 @@ class _Surveyor:
             exposure = self._balance([s for s in threads.map(self._spots, self.tiles) if len(s)])
             tallies = threads.map(lambda t: self._tally(t, exposure), self.tiles)
             known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
-            maps = [self._blank(p) for p in self.placed]
+            maps = [CleanMap.blank(p, self.cells) for p in self.placed]
             evidence = np.zeros((self.cells.height, self.cells.width), np.float32)
             for tile, (look, clean, odds) in zip(
                 self.tiles,
@@ -164,18 +148,8 @@ class _Surveyor:
             ):
                 evidence[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE] = odds
                 for k, weights in zip(look.views, np.moveaxis(clean, 2, 0), strict=True):
-                    _paste(maps[k], tile, weights)
+                    maps[k].paste(tile, weights)
         return Survey(self.factor, self.cells, exposure, tuple(maps), evidence)
-
-    def _blank(self, placed: PlacedView | None) -> CleanMap:
-        """Map of a view with nothing in it, as large as what the view may show."""
-        if placed is None:
-            return CleanMap(0, 0, np.zeros((1, 1), np.uint8))
-        u_min, v_min = (max(int(np.floor(b)), 0) for b in placed.box[:2])
-        u_max = min(int(np.ceil(placed.box[2])), self.cells.width - 1)
-        v_max = min(int(np.ceil(placed.box[3])), self.cells.height - 1)
-        size = (max(v_max - v_min + 1, 1), max(u_max - u_min + 1, 1))
-        return CleanMap(u_min, v_min, np.zeros(size, np.uint8))
 
     def _look(self, tile: tuple[int, int]) -> _Look:
         """Sample the cells of a tile and its margin in all views."""
@@ -298,18 +272,6 @@ class _Surveyor:
         odds = 2 * LOG_ODDS * (weights * (0.5 - clean)).sum(axis=2)
         rounded = np.rint(255 * clean[inner]).astype(np.uint8)
         return look, rounded, odds[inner].astype(np.float32)
-
-
-def _paste(into: CleanMap, tile: tuple[int, int], weights: NDArray[np.uint8]) -> None:
-    """Copy a tile's weights of a view to their place in its map."""
-    row, column = tile[0] - into.row, tile[1] - into.column
-    h, w = into.weights.shape
-    top, left = max(row, 0), max(column, 0)
-    bottom, right = min(row + weights.shape[0], h), min(column + weights.shape[1], w)
-    if top < bottom and left < right:
-        into.weights[top:bottom, left:right] = weights[
-            top - row : bottom - row, left - column : right - column
-        ]
 
 
 def _smooth(values: Single, seen: NDArray[np.bool_]) -> Single:
