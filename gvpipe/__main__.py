@@ -1,5 +1,6 @@
 """The program: the command line in a process of its own, watched over by a small one."""
 
+import os
 import sys
 
 from gvpipe.supervisor import supervised
@@ -11,6 +12,9 @@ def main() -> None:
 
 
 def _command_line() -> int:
+    # small matrices only: threads of their own would fight with gvpipe's workers for the cores
+    for library in ("OPENBLAS", "MKL", "OMP"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     from gvpipe.cli import run  # late: a signal during this import is handled already
 
     return run()

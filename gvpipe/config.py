@@ -123,6 +123,10 @@ class SlamConfig(Section):
     """The joint map."""
 
     reference: str | None = Field(None, description="image whose robot frame is the map; null = first image of the first robot")
+    height_sigma: float | None = Field(None, gt=0, le=100, description="how far single pictures' heights may be off their robot's, metres; null = judged by the data")
+    scale_sigma: float = Field(0.005, gt=0, le=1, description="uncertainty of the configured heights, hence of the map's scale, relative")
+    tilt_sigma_deg: float = Field(3.0, gt=0, le=45, description="uncertainty of a robot's configured tilt, degrees")
+    roll_sigma_deg: float = Field(3.0, gt=0, le=45, description="uncertainty of a robot's configured roll, degrees")
     loops: bool = Field(True, description="look for more pairs where the map shows common ground")
 
 
@@ -130,7 +134,7 @@ class MosaicConfig(Section):
     """The overhead map."""
 
     resolution: float = Field(0.005, gt=0, le=10, description="metres per pixel")
-    blend: Literal["robust", "best"] = Field("robust", description="robust = mean without outliers, best = sharpest view")
+    blend: Literal["robust", "half", "best"] = Field("robust", description="robust = median of the views that show ground, half = mean of the half nearest the mean, best = sharpest view")
 
 
 class ReconstructConfig(Section):

@@ -119,7 +119,7 @@ MISTAKES = {
     ),
     "choice": (
         MINIMAL + "mosaic: {blend: best!}\n",
-        "5:17: mosaic.blend: is 'best!'; expected robust or best",
+        "5:17: mosaic.blend: is 'best!'; expected robust, half or best",
     ),
     "no stays text": (MINIMAL + "mosaic: {blend: NO}\n", "5:17: mosaic.blend: is 'NO';"),
     "alias": (

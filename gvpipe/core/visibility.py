@@ -19,6 +19,9 @@ OCCLUSION_TOLERANCE = 0.01
 """A point counts as seen if nothing is nearer by more than this share of its depth: a few voxels
 at arm's length, less than the size of what could hide it."""
 
+MOST_ROWS = 30_000
+"""Points sampled at a time: OpenCV maps pictures of fewer than 32,768 rows."""
+
 GRAZING = 0.2
 """Views that meet the surface at a flatter angle (cosine) give no colour if another view does."""
 
@@ -108,17 +111,10 @@ def colour(mesh: Mesh, views: Sequence[PosedView]) -> Mesh:
         seen &= facing > 0
         if not seen.any():
             continue
-        pixels = project(mesh.vertices[seen], view)[0].astype(np.float32)
-        sample = cv2.remap(
-            view.pixels,
-            pixels[:, :1],
-            pixels[:, 1:],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REFLECT,
-        )
+        sample = _sampled(view, mesh.vertices[seen])
         # a grazing view only decides where there is no better one
         square = np.where(facing > GRAZING, facing**2, 1e-6)[seen] / distance[seen] ** 2
-        total[seen] += square[:, None] * sample[:, 0]
+        total[seen] += square[:, None] * sample
         weight[seen] += square
     known = weight > 0
     if not known.any():
@@ -128,6 +124,22 @@ def colour(mesh: Mesh, views: Sequence[PosedView]) -> Mesh:
         nearest = cKDTree(mesh.vertices[known]).query(mesh.vertices[~known])[1]
         colours[~known] = colours[known][nearest]
     return replace(mesh, colours=np.rint(colours).astype(np.uint8))
+
+
+def _sampled(view: PosedView, points: Float) -> Float:
+    """Colours, (N, 3), of a view at the projections of map points that it sees."""
+    pixels = project(points, view)[0].astype(np.float32)
+    parts = [
+        cv2.remap(
+            view.pixels,
+            part[:, :1],
+            part[:, 1:],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REFLECT,
+        )[:, 0]
+        for part in np.array_split(pixels, len(pixels) // MOST_ROWS + 1)
+    ]
+    return np.concatenate(parts).astype(np.float64)
 
 
 def surface_points(mesh: Mesh) -> PointCloud:

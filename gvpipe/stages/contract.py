@@ -106,16 +106,24 @@ def main_component(slam: SlamBody) -> int:
     return min(sizes, key=lambda component: (-sizes[component], component), default=0)
 
 
-def posed_views(dataset: Dataset, slam: SlamBody) -> list[PosedView]:
-    """Read the pictures of the main component with their poses, in the order of the poses."""
+def posed_views(
+    dataset: Dataset, slam: SlamBody, *, photograph_only: bool = False
+) -> list[PosedView]:
+    """Read the pictures of the main component with their poses, in the order of the poses.
+
+    Parameters
+    ----------
+    dataset, slam : Dataset, SlamBody
+        Pictures and poses.
+    photograph_only : bool
+        Blacken what lies outside the photograph after undistortion; else its border goes on.
+    """
     component = main_component(slam)
-    return [
-        PosedView(
-            image_id=row.image,
-            pixels=(view := dataset.view(row.image)).pixels,
-            camera=view.camera,
-            map_from_camera=Pose(row.R, row.t),
-        )
-        for row in slam.poses
-        if row.component == component
-    ]
+    views = []
+    for row in slam.poses:
+        if row.component == component:
+            view = dataset.view(row.image)
+            inside = dataset.inside(row.image) if photograph_only else None
+            pixels = view.pixels if inside is None else view.pixels * inside[..., None]
+            views.append(PosedView(row.image, pixels, view.camera, Pose(row.R, row.t)))
+    return views

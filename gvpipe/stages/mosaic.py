@@ -25,7 +25,7 @@ def run(context: Context) -> Outcome[MosaicBody, Mosaic]:
     """Compose the pictures of the largest map."""
     settings = context.config.mosaic
     slam = context.artefact(SlamBody)
-    views = posed_views(context.dataset, slam.body)
+    views = posed_views(context.dataset, slam.body, photograph_only=True)
     try:
         raster = plan_raster(views, settings.resolution)
     except ValueError as error:

@@ -37,7 +37,7 @@ LOOP_ROUNDS = 2
 LOOPS_PER_IMAGE = 6
 """New links tried an image and round: more hardly add to the accuracy, and each costs a match."""
 
-MIN_SHARED_GROUND = 0.25
+MIN_SHARED_GROUND = 0.15
 """Share of its ground a picture must have in common with another for the pair to be tried."""
 
 MAX_GAP = 3
@@ -116,12 +116,19 @@ def _mapped(context: Context) -> SlamBody:
     mounts = {image: entry.mount for image, entry in entries.items()}
 
     def adjusted() -> MapResult:
-        return build_map(cameras, mounts, list(entries), links, reference, MapOptions())
+        return build_map(cameras, mounts, list(entries), links, reference, options)
 
+    settings = context.config.slam
+    options = MapOptions(
+        tilt_sigma=float(np.radians(settings.tilt_sigma_deg)),
+        roll_sigma=float(np.radians(settings.roll_sigma_deg)),
+        scale_sigma=settings.scale_sigma,
+        height_sigma=settings.height_sigma,
+    )
     links = [*_matched(context), *_overlapping(context)]
     result = adjusted()
     tried = _tried(context)
-    for _ in range(LOOP_ROUNDS if context.config.slam.loops else 0):
+    for _ in range(LOOP_ROUNDS if settings.loops else 0):
         pairs = _proposed(cameras, list(entries), result, tried)
         found = list(_searched(context, pairs))
         tried |= set(pairs)
