@@ -34,6 +34,7 @@ class _Expectation:
 
     config_sha256: str
     inputs: dict[str, str]
+    skipped: tuple[SkippedImage, ...]
 
     def mismatch(self, header: Header) -> str | None:
         """Say what changed since an artefact was made, if anything."""
@@ -46,6 +47,8 @@ class _Expectation:
         for name, want in self.inputs.items():
             if header.inputs[name] != want:
                 return f"was made from another version of {name}"
+        if header.skipped != self.skipped:
+            return "was made with other images skipped"
         return None
 
 
@@ -71,7 +74,8 @@ class _Chain:
         inputs |= {f"poses of {r}": h for r, h in self._dataset.pose_files.items()}
         inputs |= {f"{n}/{a.body.file}": a.digest for n, a in self.needed(stage).items()}
         sections = stage_module(stage).SECTIONS
-        return _Expectation(section_sha256(self._config, sections), inputs)
+        digest = section_sha256(self._config, sections)
+        return _Expectation(digest, inputs, _unreadable(self._dataset))
 
     def fresh(self, body: type[Body]) -> Artefact[Any]:
         """Read an artefact and insist that it is up to date."""
@@ -146,7 +150,7 @@ def run_stage(
             seed=config.seed,
             scale_source=_scale_source(dataset),
             wall_s=round(time.monotonic() - started, 3),
-            skipped=_unreadable(dataset) + outcome.skipped,
+            skipped=expected.skipped,
             reason=outcome.no_result,
         )
         with writing_to(folder), staging(out, name) as staged:

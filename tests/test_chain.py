@@ -157,7 +157,8 @@ def test_mosaic_and_ros_map_agree(chain: TinySet) -> None:
 def test_the_box_is_found(chain: TinySet) -> None:
     obstacles = chain.document("reconstruct")["obstacles"]
     assert len(obstacles) == 1
-    assert obstacles[0]["height_m"] == pytest.approx(BOX_HIGH[2], abs=0.03)
+    # cameras of one height leave a low roof on a flat top, as high as the hull of true silhouettes
+    assert BOX_HIGH[2] - 0.01 < obstacles[0]["height_m"] < BOX_HIGH[2] + 0.05
     rotation, shift, *_ = align(chain)
     centre = rotation @ np.array(obstacles[0]["centroid"]) + shift
     assert np.abs(centre[:2]).max() < 0.03
@@ -273,7 +274,7 @@ def test_bad_images_are_skipped_and_recorded(chain: TinySet, tmp_path: Path) -> 
     (work / "A/notes.txt").write_text("no image")
     assert run(["match", str(work / chain.config.name), "-q"]) == 0
     document = json.loads((work / "run/match/match.json").read_text())
-    assert [row["image"] for row in document["skipped"]] == ["A/9.png"]
+    assert [row["image"] for row in document["skipped"]] == ["A/9.png", "A/notes.txt"]
     assert document["pairs"] == chain.document("match")["pairs"]
 
 

@@ -119,7 +119,7 @@ MISTAKES = {
     ),
     "choice": (
         MINIMAL + "mosaic: {blend: best!}\n",
-        "5:17: mosaic.blend: is 'best!'; expected robust, half or best",
+        "5:17: mosaic.blend: is 'best!'; expected robust or half or best (robust = median",
     ),
     "no stays text": (MINIMAL + "mosaic: {blend: NO}\n", "5:17: mosaic.blend: is 'NO';"),
     "alias": (

@@ -12,7 +12,7 @@ from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
 from gvpipe.core.types import Pose, PosedView
 from gvpipe.dataset import Dataset
-from gvpipe.records import Body, SkippedImage, SlamBody
+from gvpipe.records import Body, SlamBody
 
 B = TypeVar("B", bound=Body)
 P = TypeVar("P")
@@ -67,8 +67,6 @@ class Outcome(Generic[B, P]):
         The JSON's own part.
     payload : object
         Whatever the stage's `write` turns into further files.
-    skipped : tuple of SkippedImage
-        Images this stage could not use, beyond those that could not be read.
     no_result : str or None
         Why there is no result, if there is none.
     summary : tuple of (str, str)
@@ -77,7 +75,6 @@ class Outcome(Generic[B, P]):
 
     body: B
     payload: P
-    skipped: tuple[SkippedImage, ...] = ()
     no_result: str | None = None
     summary: tuple[tuple[str, str], ...] = field(default=())
 
