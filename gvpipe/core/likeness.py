@@ -12,7 +12,7 @@ from gvpipe.core.types import Image
 Single = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-WINDOW = 1.5
+WINDOW = 1.0
 """Standard deviation of the comparison window, pixels: texture needs a few, outlines no more."""
 
 BLURS = (0.8, 1.5)
