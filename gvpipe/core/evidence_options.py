@@ -54,9 +54,9 @@ class EvidenceOptions:
     tolerances: tuple[float, ...] = (0.3, 0.15, 0.08)
     odds: float = 8.0
     outline: float = 1.5
-    hidden_gain: float = 0.12
+    hidden_gain: float = 0.3
     first_colour_gain: float = 1.0
-    colour_gain: float = 0.3
+    colour_gain: float = 0.2
     view_floor: float = 0.05
     min_views: int = 3
     ground_softness: float = 0.002

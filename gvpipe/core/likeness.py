@@ -12,7 +12,7 @@ from gvpipe.core.types import Image
 Single = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-WINDOW = 1.5
+WINDOW = 1.0
 """Standard deviation of the comparison window, pixels: texture needs a few, outlines no more."""
 
 BLURS = (0.8, 1.5)
@@ -106,18 +106,24 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
     return Features(texture, shade, contrast, own)
 
 
-def difference(f: Features, noise: GroundNoise) -> Single:
-    """Difference from the ground in units of its expected square, about 1.5 on bare ground.
+def difference(f: Features, noise: GroundNoise) -> tuple[Single, Single]:
+    """Weigh the features by what ground does itself.
 
-    Where the background's texture is found again, a change of shade counts little: gloss and
-    soft light do that, obstacles do not.
+    Returns
+    -------
+    difference : array of float32
+        Squared difference in units of the expected, about 1.5 on bare ground. Where the
+        background's texture is found again, a change of shade counts little: gloss and soft
+        light do that, obstacles do not.
+    recognised : array of float32
+        0..1: how surely the background's texture was found again; 0 where it has none.
     """
     texture_scale = noise.texture_base + noise.texture_slope * f.contrast + FLOORS[0]
     shade_scale = noise.shade_base + noise.shade_slope * f.contrast + FLOORS[1]
     explained = np.clip((f.own - f.texture) / np.maximum(f.own, 1e-3), 0, 1)
     recognised = explained * f.contrast / (f.contrast + 4 * texture_scale)
     total = f.texture / texture_scale + 0.5 * f.shade / shade_scale * (1 - recognised) ** 2
-    return np.asarray(total, np.float32)
+    return np.asarray(total, np.float32), np.asarray(recognised, np.float32)
 
 
 def learn_noise(samples: Sequence[Features]) -> GroundNoise:
@@ -141,7 +147,7 @@ def learn_noise(samples: Sequence[Features]) -> GroundNoise:
             break
         g = f.pick(use)
         noise = GroundNoise(*_line(g.contrast, g.texture), *_line(g.contrast, g.shade))
-        use = difference(f, noise) < GROUND_LIKE
+        use = difference(f, noise)[0] < GROUND_LIKE
     return noise
 
 

@@ -65,6 +65,22 @@ def segment(gain: Single, picture: Image, strength: float) -> Single:
     return cut(gain, weight_x, weight_y, iterations, np.ascontiguousarray(start, np.float32))
 
 
+def without_specks(region: Single, smallest: int) -> Single:
+    """Flip parts of a region, and holes in it, that have fewer pixels than `smallest`.
+
+    A hole of a few pixels, where an obstacle happens to look like the ground behind it, would
+    drill a tunnel through the obstacle.
+    """
+    cleaned = region.copy()
+    for value in (0.0, 1.0):
+        part = (cleaned > 0.5) == (value == 0.0)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(part.astype(np.uint8), connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] < smallest
+        small[0] = False
+        cleaned[small[labels]] = value
+    return cleaned
+
+
 def _outline_cost(picture: Image, strength: float) -> tuple[Single, Single]:
     """Cost of a cut between a pixel and the next to the right, and the next below."""
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.7)

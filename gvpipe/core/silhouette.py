@@ -26,7 +26,7 @@ from gvpipe.core.hull import (
 )
 from gvpipe.core.likeness import GroundNoise, difference, features, learn_noise
 from gvpipe.core.photometry import levelled
-from gvpipe.core.segmentation import colour_gain, segment
+from gvpipe.core.segmentation import colour_gain, segment, without_specks
 from gvpipe.core.types import PosedView
 
 __all__ = ["EvidenceOptions", "Silhouette", "silhouettes"]
@@ -49,11 +49,18 @@ GAIN_LIMIT = 1.5
 HALF_SUPPORT = 0.7
 """Weight of agreeing views at which the ground behind a pixel is half certain."""
 
+FIRST_LEARNING = 2
+"""Times the colours of the first silhouette are learnt and applied: an obstacle's lower part,
+taken for ground at first, joins the upper one by its colour."""
+
 AGREEING_SHARE = 0.4
 """Share of the open views that must agree for the ground behind a pixel to be certain."""
 
-OUTLINE_RADIUS = 2
+OUTLINE_RADIUS = 1
 """Pixels by which the comparison window smears an obstacle's difference over its outline."""
+
+SPECK_SHARE = 0.02
+"""Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
 
 REGION_VOXELS = 600_000
 """Voxels of one region when obstacles are asked what they hide."""
@@ -64,9 +71,7 @@ FINE_PER_HEIGHT = 100
 MARGIN = 4
 """Coarse voxels around a region: its tolerant hull may still grow."""
 
-KERNEL = cv2.getStructuringElement(
-    cv2.MORPH_ELLIPSE, (2 * OUTLINE_RADIUS + 1, 2 * OUTLINE_RADIUS + 1)
-)
+KERNEL = np.ones((2 * OUTLINE_RADIUS + 1, 2 * OUTLINE_RADIUS + 1), np.uint8)
 
 
 def silhouettes(
@@ -188,12 +193,15 @@ def _silhouette(
     known = seen.support > 0
     gain = _gain(view, seen, noise, options)
     region = segment(gain, view.pixels, options.outline)
-    learnt = colour_gain(view.pixels, region, known, GAIN_LIMIT)
     if first:
-        gain += options.first_colour_gain * learnt
+        weights = [options.first_colour_gain] * FIRST_LEARNING
+        unsure = np.ones_like(gain)
     else:  # by now colours decide only where the ground behind is not known
-        gain += options.colour_gain * learnt * (1 - np.clip(seen.support, 0, 1))
-    region = segment(gain, view.pixels, options.outline)
+        weights, unsure = [options.colour_gain], 1 - np.clip(seen.support, 0, 1)
+    for weight in weights:
+        learnt = colour_gain(view.pixels, region, known, GAIN_LIMIT)
+        region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
+    region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
     unknown = ~below_horizon(view) & (region <= 0.5)
     return np.where(unknown, np.nan, region).astype(np.float32)
 
@@ -203,11 +211,14 @@ def _gain(
 ) -> NDArray[np.float32]:
     """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
     known = seen.support > 0
-    off = difference(features(view.pixels, seen.colour, known), noise)
+    off, recognised = difference(features(view.pixels, seen.colour, known), noise)
     off = cv2.erode(np.where(known, off, options.odds).astype(np.float32), KERNEL)
     odds = np.clip(np.log((off + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
-    certain = seen.support / (seen.support + HALF_SUPPORT) * np.clip(agreeing, 0, 1)
+    agreeing = np.clip(agreeing, 0, 1)
+    certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
+    # views thought not to see the ground that still agree on its texture do see it
+    certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
     gain = np.where(known, odds * certain, 0)
     hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
     return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
