@@ -69,19 +69,19 @@ def locked(out: Path, stage: str) -> Iterator[None]:
     path = out / f".{stage}.lock"
     with writing_to(path):
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
-    with open(descriptor, "r+", encoding="utf-8") as stream:  # noqa: PTH123  a descriptor
+    try:
         try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             if error.errno not in (errno.EACCES, errno.EAGAIN):
                 raise OutputError(f"{escape(str(path))}: {error.strerror}") from error
-            holder = escape(stream.read(100).strip()) or "another process"
-            raise OutputError(f"{escape(str(path))}: locked by {holder}") from None
+            holder = escape(os.read(descriptor, 100).decode(errors="replace").strip())
+            by = holder or "another process"
+            raise OutputError(f"{escape(str(path))}: locked by {by}") from None
         with writing_to(path):
-            stream.truncate(0)
-            stream.write(f"process {os.getpid()}\n")
-            stream.flush()
-        try:
-            yield
-        finally:
-            stream.truncate(0)
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f"process {os.getpid()}\n".encode())
+        yield
+        os.ftruncate(descriptor, 0)
+    finally:
+        os.close(descriptor)
