@@ -28,7 +28,7 @@ class EvidenceOptions:
         tolerate more, for colours seen under an obstacle are taken for ground at first.
     odds : float
         Difference from the ground, in units of its expected square, at which obstacle and ground
-        are equally likely.
+        are equally likely; up to twice as much where the ground's differences have a long tail.
     outline : float
         Cost of a pixel of silhouette outline, in units of the log odds.
     hidden_gain : float

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -43,6 +44,10 @@ SCALE_RANGE = (12.0, 60.0)
 CALIBRATION_VIEWS = 5
 """Views that teach the noise of the ground; it depends on the ground more than on the view."""
 
+TAIL_SHARE, TAIL_FACTOR = 0.6, 2.5
+"""Quantile of the differences that is ground even where obstacles fill a third of the pictures,
+and its multiple at which obstacle and ground are equally likely."""
+
 GAIN_LIMIT = 1.5
 """Largest log odds of one pixel: texture that happens to match must not outvote its area."""
 
@@ -53,11 +58,12 @@ FIRST_LEARNING = 2
 """Times the colours of the first silhouette are learnt and applied: an obstacle's lower part,
 taken for ground at first, joins the upper one by its colour."""
 
+FIRST_GROUND_LIMIT = 0.4
+"""Largest log odds for ground while those colours are applied: a difference from the ground
+seldom lies, but what looks like ground may be an obstacle that all views see in its place."""
+
 AGREEING_SHARE = 0.4
 """Share of the open views that must agree for the ground behind a pixel to be certain."""
-
-OUTLINE_RADIUS = 1
-"""Pixels by which the comparison window smears an obstacle's difference over its outline."""
 
 SPECK_SHARE = 0.02
 """Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
@@ -71,7 +77,8 @@ FINE_PER_HEIGHT = 100
 MARGIN = 4
 """Coarse voxels around a region: its tolerant hull may still grow."""
 
-KERNEL = np.ones((2 * OUTLINE_RADIUS + 1, 2 * OUTLINE_RADIUS + 1), np.uint8)
+SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""Pixels by which the comparison window smears an obstacle's difference over its outline."""
 
 
 def silhouettes(
@@ -158,20 +165,22 @@ def _round(
 ) -> list[Silhouette]:
     """Silhouettes of all views, given what is known to be hidden."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
-    noise = learn_noise(
-        [
-            features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
-                _every_other(seen.open_weight > 1.5)
-            )
-            for k, seen in zip(
-                some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True
-            )
-        ]
-    )
+    samples = [
+        features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
+            _every_other(seen.open_weight > 1.5)
+        )
+        for k, seen in zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True)
+    ]
+    noise = learn_noise(samples)
+    usual = np.concatenate([difference(f, noise)[0] for f in samples])
+    even = options.odds
+    if len(usual):  # gloss and uneven light make long tails: ask for more there
+        tail = TAIL_FACTOR * float(np.quantile(usual, TAIL_SHARE))
+        even = float(np.clip(tail, options.odds, 2 * options.odds))
 
     def one(index: int) -> Silhouette:
         seen = witnesses.behind(index, scale)
-        return _silhouette(witnesses.views[index], seen, noise, options, first)
+        return _silhouette(witnesses.views[index], seen, noise, replace(options, odds=even), first)
 
     return list(pool.map(one, range(len(witnesses.views))))
 
@@ -196,6 +205,7 @@ def _silhouette(
     if first:
         weights = [options.first_colour_gain] * FIRST_LEARNING
         unsure = np.ones_like(gain)
+        gain = np.maximum(gain, -FIRST_GROUND_LIMIT)
     else:  # by now colours decide only where the ground behind is not known
         weights, unsure = [options.colour_gain], 1 - np.clip(seen.support, 0, 1)
     for weight in weights:
@@ -212,7 +222,7 @@ def _gain(
     """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
     known = seen.support > 0
     off, recognised = difference(features(view.pixels, seen.colour, known), noise)
-    off = cv2.erode(np.where(known, off, options.odds).astype(np.float32), KERNEL)
+    off = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
     odds = np.clip(np.log((off + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
     agreeing = np.clip(agreeing, 0, 1)
