@@ -21,8 +21,8 @@ from gvpipe.output import refuse_link, sync
 from gvpipe.records import Body, Header
 
 SCHEMA_VERSION = 1
-VOLATILE = ("wall_s",)
-"""Keys that differ between runs of the same input; left out of digests."""
+VOLATILE = ("wall_s", "content_sha256")
+"""Keys left out of digests: the time differs between runs, the digest cannot hold itself."""
 MAX_JSON_BYTES = 1 << 30
 MAX_NPZ_BYTES = 1 << 34
 """Sizes beyond which a file is refused unread: no artefact of ours comes near."""
@@ -51,9 +51,20 @@ class Artefact(Generic[B]):
     folder: Path
     digest: str
 
-    def arrays(self, name: str) -> dict[str, NDArray[Any]]:
+    def arrays(self, name: str) -> "Members":
         """Load an NPZ file of this artefact."""
         return read_npz(self.folder / name)
+
+
+class Members(dict[str, NDArray[Any]]):
+    """Arrays of an NPZ file by name; asking for one it lacks is an error of the file."""
+
+    def __init__(self, path: Path, arrays: Mapping[str, NDArray[Any]]):
+        super().__init__(arrays)
+        self._path = path
+
+    def __missing__(self, name: str) -> NDArray[Any]:
+        raise InputError(f"{self._path}: lacks the array {name!r}")
 
 
 def canonical_json(value: Any) -> str:
@@ -135,7 +146,13 @@ def read_artefact(folder: Path, body: type[B]) -> Artefact[B]:
             raise InputError(f"{file}: missing, though {path.name} lists it")
         if file_sha256(file) != want:
             raise InputError(f"{file}: its content is not what {path.name} recorded")
-    return Artefact(header, content, folder, digest(document))
+    try:
+        found = digest(document)
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: not valid JSON: half a surrogate pair") from None
+    if header.content_sha256 != found:
+        raise InputError(f"{path}: content_sha256: does not fit; it was changed or damaged")
+    return Artefact(header, content, folder, found)
 
 
 def _load_json(path: Path) -> dict[str, Any]:
@@ -159,7 +176,7 @@ def _load_json(path: Path) -> dict[str, Any]:
     return document
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path) -> Members:
     """Load every array of an NPZ file, never unpickling.
 
     Raises
@@ -172,11 +189,15 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
             if sum(member.file_size for member in archive.infolist()) > MAX_NPZ_BYTES:
                 raise InputError(f"{path}: would take more than {MAX_NPZ_BYTES} bytes")
         with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
+            arrays = Members(path, {name: data[name] for name in data.files})
     except FileNotFoundError:
         raise InputError(f"{path}: missing") from None
     except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, MemoryError) as error:
         raise InputError(f"{path}: not a valid NPZ file: {error}") from None
+    for name, array in arrays.items():
+        if array.dtype.kind in "fc" and not np.isfinite(array).all():
+            raise InputError(f"{path}: {name}: expected finite numbers")
+    return arrays
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -220,6 +241,7 @@ def publish(staged: Path, folder: Path, header: Header, body: Body) -> None:
         **header.model_copy(update={"files": files}).model_dump(mode="json", by_alias=True),
         **body.model_dump(mode="json"),
     }
+    document["content_sha256"] = digest(document)
     json_name = body.file
     (staged / json_name).write_text(canonical_json(document), encoding="utf-8")
     refuse_link(folder)

@@ -75,6 +75,7 @@ class Header(Record):
     units: Literal["metre"] = "metre"
     scale_source: Literal["height", "poses", "control"]
     wall_s: float
+    content_sha256: str = ""
     skipped: tuple[SkippedImage, ...]
     reason: str | None = None
 

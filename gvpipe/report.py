@@ -33,6 +33,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
+class _Lines(logging.Formatter):
+    """One line a message, whatever names it holds."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
 class _JsonLines(logging.Formatter):
     """One JSON object a line."""
 
@@ -78,7 +85,7 @@ class Reporter:
         if log_json:
             handler = logging.StreamHandler(sys.stderr)
             handler.setFormatter(_JsonLines())
-        else:
+        elif self._live:  # goes round the progress bar
             handler = RichHandler(
                 console=self._err,
                 show_time=False,
@@ -86,7 +93,10 @@ class Reporter:
                 markup=False,
                 rich_tracebacks=False,
             )
-            handler.setFormatter(logging.Formatter("%(message)s"))
+            handler.setFormatter(_Lines("%(message)s"))
+        else:
+            handler = logging.StreamHandler(sys.stderr)
+            handler.setFormatter(_Lines("%(levelname)-8s %(message)s"))
         log.handlers[:] = [handler]
         log.propagate = False
         log.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)

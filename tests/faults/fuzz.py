@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gvpipe.artefacts import digest
 from gvpipe.cli import run
 from tests.faults.rig import STAGES, make_small_set
 
@@ -109,7 +110,7 @@ def mutate_json(value: Any, rng: random.Random) -> Any:
 
 
 def mutate_artefact(folder: Path, rng: random.Random) -> None:
-    """Damage one file of an artefact; half the time its checksum is made to fit."""
+    """Damage one file of an artefact; often its checksums are made to fit."""
     document_path = next(folder.glob("*.json"))
     path = rng.choice(sorted(folder.iterdir())) if rng.random() < 0.3 else document_path
     if path == document_path and rng.random() < 0.8:
@@ -117,10 +118,13 @@ def mutate_artefact(folder: Path, rng: random.Random) -> None:
         path.write_text(json.dumps(document), encoding="utf-8")
     else:
         path.write_bytes(mutate_bytes(path.read_bytes(), rng))
-    if path != document_path and rng.random() < 0.7:
-        document = json.loads(document_path.read_bytes())
-        document["files"][path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
-        document_path.write_text(json.dumps(document), encoding="utf-8")
+    if rng.random() < 0.7:
+        with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            document = json.loads(document_path.read_bytes())
+            if path != document_path:
+                document["files"][path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            document["content_sha256"] = digest(document)
+            document_path.write_text(json.dumps(document), encoding="utf-8")
 
 
 @dataclass
@@ -143,7 +147,8 @@ class Findings:
         message = said.getvalue()
         wrong = code not in ALLOWED or "Traceback" in message or seconds > MOST_S
         if wrong or (code in (3, 4) and named not in message):
-            self.problems.append(f"{arguments[:1]} {code} {seconds:.1f} s: {message}\n{detail()}")
+            said_last = "\n".join(message.splitlines()[-12:])
+            self.problems.append(f"{arguments[0]} {code} {seconds:.1f} s: {said_last}\n{detail()}")
 
 
 def try_config(config: Path, original: bytes, rng: random.Random, findings: Findings) -> None:
