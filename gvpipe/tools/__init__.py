@@ -5,10 +5,12 @@ Nothing heavy is imported here before a command runs, so that ``gvpipe --help`` 
 
 import typer
 
-from gvpipe.tools import evaluate, synth
+from gvpipe.tools import calibrate, evaluate, init, synth
 
 
 def add_tools(app: typer.Typer) -> None:
     """Give the command line its tools."""
+    init.add(app)
+    calibrate.add(app)
     synth.add(app)
     evaluate.add(app)

@@ -1,9 +1,20 @@
 """Options that several tools share."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+
+def use_one_blas_thread() -> None:
+    """Keep small linear systems on one core; must run before numpy is imported.
+
+    On a busy machine the threads that wait for each other cost many times what they save, and
+    sums would depend on their number.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
 
 
 def option(name: str, help_text: str, **more: object) -> typer.models.OptionInfo:

@@ -1,0 +1,301 @@
+"""``gvpipe init``: look at pictures, guess what can be guessed, write a configuration."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gvpipe.commands.calibrate import GroundCalibration, from_ground
+from gvpipe.commands.init_text import CameraGuess, RobotGuess, config_text
+from gvpipe.commands.output import write_file
+from gvpipe.commands.photos import Photo, list_photos, of_one_size, read_photo
+from gvpipe.configfile import load_config
+from gvpipe.core.self_calibration import EXPECTED_FOCAL
+from gvpipe.core.types import Image, Rejected
+from gvpipe.dataset import open_dataset
+from gvpipe.errors import InputError, OutputError
+from gvpipe.formats.jpeg import jpeg_bytes
+from gvpipe.formats.video import is_video_file
+from gvpipe.names import escape
+from gvpipe.report import Reporter, log
+
+MOST_FRAMES = 24
+"""Frames of a video that are looked at."""
+
+MOST_EXHAUSTIVE = 20
+"""So many pictures or fewer are all matched with each other: whoever walks about with a phone
+comes by the same place in no order."""
+
+NICE = (1.0, 2.0, 5.0)
+"""Leading digits of the map's resolution."""
+
+MOST_MAP_PX = 3000
+"""Side of the map, pixels, that the resolution aims below."""
+
+RANGE_HEIGHTS = 4.0
+"""Ground seen from one place, in camera heights, when the map's size is guessed."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Pictures that become one robot."""
+
+    name: str
+    images: Path
+    photos: tuple[Photo, ...]
+
+
+def run(
+    folders: Sequence[Path],
+    reporter: Reporter,
+    *,
+    out: Path | None,
+    height_m: float | None,
+    tilt_deg: float | None,
+    focal_px: float | None,
+    calibrate: bool,
+    force: bool,
+    jobs: int,
+) -> None:
+    """Write a configuration for pictures.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Folders (or videos, or globs); a folder of folders is one robot each.
+    reporter : Reporter
+        Says what was found and guessed.
+    out : Path, optional
+        Configuration to write; default is beside the first folder, under its name.
+    height_m : float, optional
+        The one measured number.
+    tilt_deg, focal_px : float, optional
+        What the user knows better than a guess.
+    calibrate : bool
+        Self-calibrate from the ground.
+    force : bool
+        Replace an existing configuration.
+    jobs : int
+        Threads.
+
+    Raises
+    ------
+    InputError
+        If there are no pictures.
+    OutputError
+        If the configuration exists, or cannot be written.
+    """
+    first = folders[0].absolute()
+    path = (
+        out or first.parent / f"{re.sub('[*?[].*', '', first.stem) or 'photos'}.yaml"
+    ).absolute()
+    if path.exists() and not force:
+        raise OutputError(f"{escape(str(path))}: exists; --force replaces it, --out names another")
+    found = [robot for folder in folders for robot in _robots(folder.absolute())]
+    found = [_upright(robot, path.parent) for robot in _distinct(found)]
+    said: list[tuple[str, str]] = []
+    robots, cameras = _guess(found, reporter, said, height_m, tilt_deg, focal_px, calibrate, jobs)
+    count = sum(len(robot.photos) for robot in found)
+    exhaustive = count <= MOST_EXHAUSTIVE
+    resolution = _resolution(robots, cameras)
+    text = config_text(path, cameras, robots, height_m, exhaustive, resolution)
+    write_file(path, text)
+    open_dataset(load_config(path), jobs=jobs)
+    said.append(("map", f"{resolution:g} m a pixel"))
+    if height_m is None:
+        said.append(("height", "not given: lengths are in camera heights; --height METRES tells"))
+    said.append(("next", f"make run CONFIG={path}"))
+    reporter.result("gvpipe init", said, [path])
+
+
+def _robots(path: Path) -> list[Found]:
+    """Robots in one place: its pictures, or those of each of its folders."""
+    if not path.is_dir():
+        photos = list_photos(path, MOST_FRAMES)
+        return [Found(_name(path), path, tuple(of_one_size(photos, escape(str(path)))))]
+    photos = [p for p in list_photos(path, MOST_FRAMES) if p.frame is None]
+    if photos:
+        return [Found(_name(path), path, tuple(of_one_size(photos, escape(str(path)))))]
+    robots: list[Found] = []
+    for child in sorted(path.iterdir()):
+        if child.name.startswith(".") or child.name in ("masks", "upright"):
+            continue
+        if child.is_dir():
+            inner = [Found(r.name, r.images, r.photos) for r in _robots_or_none(child)]
+            robots += inner
+        elif is_video_file(child):
+            robots += _robots(child)
+    if not robots:
+        raise InputError(f"{escape(str(path))}: holds no picture, nor do its folders")
+    return robots
+
+
+def _robots_or_none(path: Path) -> list[Found]:
+    try:
+        return _robots(path)
+    except InputError:
+        return []
+
+
+def _name(path: Path) -> str:
+    """Make a robot's name of a path."""
+    stem = path.parent.name if path.name in ("images", "image", "photos") else path.stem
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", stem).strip("_-")
+    return name[:40] or "robot"
+
+
+def _distinct(robots: Sequence[Found]) -> list[Found]:
+    """Tell robots that share a name apart by numbers."""
+    seen: dict[str, int] = {}
+    distinct = []
+    for robot in robots:
+        seen[robot.name] = seen.get(robot.name, 0) + 1
+        number = seen[robot.name]
+        distinct.append(replace(robot, name=f"{robot.name}_{number}") if number > 1 else robot)
+    return distinct
+
+
+def _upright(robot: Found, folder: Path) -> Found:
+    """Write copies the right way up where cameras were turned, as EXIF says."""
+    if all(photo.orientation == 1 for photo in robot.photos):
+        return robot
+    target = folder / "upright" / robot.name
+    log.info("%s: turned by EXIF; upright copies go to %s", robot.name, escape(str(target)))
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{escape(str(target))}: cannot be written: {error.strerror}") from error
+    photos = []
+    for photo in robot.photos:
+        pixels = read_photo(photo)
+        if isinstance(pixels, Rejected):
+            log.warning("%s: %s", photo.name, pixels.reason)
+            continue
+        turned = _turn(pixels, photo.orientation)
+        path = target / (Path(photo.name).stem + ".jpg")
+        write_file(path, jpeg_bytes(turned, 97))
+        height, width = turned.shape[:2]
+        photos.append(
+            replace(photo, name=path.name, path=path, width=width, height=height, orientation=1)
+        )
+    kept = of_one_size(photos, escape(str(robot.images)))
+    return Found(robot.name, target, tuple(kept))
+
+
+def _turn(pixels: Image, orientation: int) -> Image:
+    """Undo an EXIF orientation."""
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.transpose(1, 0, 2)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return np.ascontiguousarray(pixels)
+
+
+def _guess(
+    found: Sequence[Found],
+    reporter: Reporter,
+    said: list[tuple[str, str]],
+    height_m: float | None,
+    tilt_deg: float | None,
+    focal_px: float | None,
+    calibrate: bool,
+    jobs: int,
+) -> tuple[list[RobotGuess], dict[str, CameraGuess]]:
+    """Calibrate each robot's camera, or fall back on EXIF and on the common field of view."""
+    robots: list[RobotGuess] = []
+    cameras: dict[str, CameraGuess] = {}
+    solved: dict[tuple[int, int, str], str] = {}
+    for robot in found:
+        photo = robot.photos[0]
+        said.append((robot.name, f"{len(robot.photos)} pictures of {photo.width}x{photo.height}"))
+        key = (photo.width, photo.height, photo.model)
+        expected = focal_px or photo.focal_px
+        outcome: GroundCalibration | Rejected = Rejected("not tried")
+        if calibrate and focal_px is None:
+            outcome = from_ground(robot.photos, reporter, jobs=jobs, focal_px=expected)
+        camera = f"cam_{robot.name}"
+        if isinstance(outcome, GroundCalibration):
+            cameras[camera] = CameraGuess.solved(outcome)
+            solved.setdefault(key, camera)
+        elif calibrate and focal_px is None:
+            said.append((f"{robot.name}: no self-calibration", outcome.reason))
+        if isinstance(outcome, Rejected):
+            known = solved.get(key)
+            if known is not None:
+                camera = known
+                said.append((f"{robot.name}: camera", f"taken to be that of {known}"))
+            else:
+                focal = expected or EXPECTED_FOCAL * max(photo.width, photo.height)
+                source = (
+                    "given"
+                    if focal_px
+                    else f"EXIF, {photo.focal_source}"
+                    if photo.focal_px
+                    else "a guess: 60 degrees from side to side"
+                )
+                cameras[camera] = CameraGuess.plain(photo.width, photo.height, focal, source)
+        guess = cameras[camera]
+        said.append(
+            (f"{robot.name}: focal length", f"{guess.calibration.fx:.1f} px ({guess.source})")
+        )
+        robots.append(_robot_guess(robot, camera, outcome, height_m or 1.0, tilt_deg))
+        said.append((f"{robot.name}: tilt", robots[-1].said))
+    return robots, cameras
+
+
+def _robot_guess(
+    robot: Found,
+    camera: str,
+    outcome: GroundCalibration | Rejected,
+    height_m: float,
+    tilt_deg: float | None,
+) -> RobotGuess:
+    """Say how a robot holds its camera."""
+    if isinstance(outcome, Rejected):
+        tilt = "auto" if tilt_deg is None else f"{tilt_deg:g}"
+        said = "auto: found while matching" if tilt_deg is None else f"{tilt_deg:g}°, given"
+        return RobotGuess(robot.name, robot.images, camera, height_m, tilt, 0.0, {}, said)
+    s = outcome.solution
+    tilts = {k: float(np.degrees(v)) for k, v in s.tilt.items()}
+    rolls = {k: float(np.degrees(v)) for k, v in s.roll.items()}
+    level, roll = float(np.median(list(tilts.values()))), float(np.median(list(rolls.values())))
+    overrides = {
+        outcome.photos[k].name: (
+            round(tilts[k], 1),
+            round(height_m * s.height[k], 4),
+            round(rolls[k], 1),
+        )
+        for k in tilts
+    }
+    spread = max(tilts.values()) - min(tilts.values())
+    said = f"{level:.1f}° (from {min(tilts.values()):.1f} to {max(tilts.values()):.1f})"
+    steady = spread < 2.0 and max(s.height.values()) < 1.03 and min(s.height.values()) > 0.97
+    return RobotGuess(
+        robot.name,
+        robot.images,
+        camera,
+        height_m,
+        f"{level:.1f}",
+        round(roll, 1),
+        {} if steady else overrides,
+        said if steady else f"{said}, held by hand",
+    )
+
+
+def _resolution(robots: Sequence[RobotGuess], cameras: dict[str, CameraGuess]) -> float:
+    """Size of the map's pixels: about twice what the pictures show, on a map that stays small."""
+    finest = np.inf
+    for robot in robots:
+        tilt = 40.0 if robot.tilt == "auto" else float(robot.tilt)
+        distance = robot.height_m / max(np.sin(np.radians(tilt)), 0.2)
+        finest = min(finest, 2 * distance / cameras[robot.camera].calibration.fx)
+    reach = 2 * RANGE_HEIGHTS * max(robot.height_m for robot in robots)
+    wanted = max(finest, reach / MOST_MAP_PX)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(
+        min((step * power for step in (*NICE, 10.0)), key=lambda m: abs(np.log(m / wanted)))
+    )
