@@ -7,8 +7,8 @@ import pytest
 from gvpipe.core.background import GroundModel, GroundWitnesses, reduced, rendered_background
 from gvpipe.core.evidence import data_terms, find_regions, hull_probability
 from gvpipe.core.evidence_options import EvidenceOptions
-from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.grid import VoxelGrid
+from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.hull import down_to_ground, pixel_from_map, render_mask, standing
 from gvpipe.core.kernels.segmentation import cut
 from gvpipe.core.likeness import difference, features, learn_noise
@@ -129,7 +129,9 @@ def test_unknown_pixels_leave_a_view_out(views):
 
 def test_ground_behind_an_obstacle_is_seen_by_the_others(views, scene):
     bare = Scene(scene.ground, extent=scene.extent)
-    witnesses = GroundWitnesses([reduced(v, p, 1) for v, p in zip(views, levelled(views))])
+    witnesses = GroundWitnesses(
+        [reduced(v, p, 1) for v, p in zip(views, levelled(views), strict=True)]
+    )
     masks = [true_mask(v.map_from_camera) for v in views]
     witnesses.hide([m.astype(np.uint8) * 255 for m in masks])
     seen = witnesses.behind(0, 20.0)

@@ -81,7 +81,7 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
         Where the background is known.
     """
     inside = known.astype(np.float32)
-    share = np.maximum(_blur(inside, WINDOW), 1e-3)[..., None]
+    share: Single = np.maximum(_blur(inside, WINDOW), 1e-3)[..., None]
 
     def mean(values: Single) -> Single:
         average: Single = _blur(np.where(known[..., None], values, 0), WINDOW) / share

@@ -222,8 +222,8 @@ def _gain(
     """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
     known = seen.support > 0
     off, recognised = difference(features(view.pixels, seen.colour, known), noise)
-    off = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
-    odds = np.clip(np.log((off + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
+    eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
+    odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
     agreeing = np.clip(agreeing, 0, 1)
     certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
