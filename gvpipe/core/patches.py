@@ -40,7 +40,7 @@ def grey_pyramid(pixels: Image) -> Pyramid:
 def textured_points(grey: NDArray[np.uint8], geometry: TwoView, max_range: float) -> Float:
     """Pick the best corner, (N, 2) pixels of i, of every cell of ground that both cameras see."""
     camera = geometry.camera_i
-    u, v = np.meshgrid(np.arange(4.0, camera.width, 8.0), np.arange(4.0, camera.height, 8.0))
+    u, v = np.meshgrid(np.arange(8.0, camera.width, 16.0), np.arange(8.0, camera.height, 16.0))
     coarse = np.column_stack([u.ravel(), v.ravel()])
     shared = _shared(coarse, geometry, max_range).mean()
     area = shared * camera.width * camera.height
