@@ -60,8 +60,8 @@ class MatchOptions:
     max_tilt_error: float = radians(14.0)
     min_log10_odds: float = 4.0
     max_uncertainty_px: float = 2.0
-    max_range: float = 5.0
-    keypoints: int = 2000
+    max_range: float = 8.0
+    keypoints: int = 1600
     max_ratio: float = 0.85
     hypotheses: int = 2000
     corners: int = 500

@@ -17,6 +17,7 @@ _MAX_LOG_GROWTH = np.log(1.9)  # the same for their sizes
 _MAX_LOG_SCALE = np.log(1.5)  # of the ground: heights misstated and distances sheared by the tilt
 _REFINED = 8  # hypotheses that get a full fit
 _SAME_HEIGHTS = 0.15  # similarities nearer than this many camera heights are one
+_PLAIN = 0.5  # share of all matches on one plane that makes other hypotheses pointless
 _SAME_PX = 20.0  # hypotheses nearer than this over the matches are one
 _ANNEAL_PX = (8.0, 4.0, 2.0, 1.0)  # standard deviations of a match, in turn
 INLIER_PX = 4.0
@@ -166,6 +167,8 @@ def find_hypotheses(
             ).geometry
         errors = transfer_errors(geometry.homography, matches.pixels_i, matches.pixels_j)
         found.append(Hypothesis(start, geometry, errors < INLIER_PX))
+        if found[-1].inliers.sum() > _PLAIN * n:
+            break
     found.sort(key=lambda h: -int(h.inliers.sum()))
     kept = _distinct([h.geometry for h in found], matches.pixels_i, _REFINED)
     return [h for h in found if any(h.geometry is geometry for geometry in kept)]

@@ -18,6 +18,7 @@ from gvpipe.core.verdict import Evidence, objection, weigh
 _MAX_MATCHES = 500  # the most distinct ones: a right geometry never needs more
 _MIN_MATCHES = 4
 _TRIED = 3  # hypotheses whose patches are compared, for each set of assumed tilts
+_WELL_KNOWN = 40  # keypoint matches that place patches to a pixel or two
 _CERTAIN = 15.0  # decimal exponent of the odds at which looking further is a waste
 _LEAST_GROUND = 0.3  # patches of a lower plane, of those on the found one: less may be reflections
 _AMBIGUOUS = 0.8  # share of agreeing patches of a shifted geometry, of the found one's
@@ -98,7 +99,9 @@ def _search(pair: _Pair, rng: np.random.Generator) -> tuple[_Candidate | None, i
         trials += draws * len(assumed)
         most = max([most, *(int(h.inliers.sum()) for h in found)])
         for hypothesis in found[:_TRIED]:
-            candidate = _examine(pair, hypothesis.start, hypothesis.geometry)
+            well_known = hypothesis.inliers.sum() > _WELL_KNOWN
+            rounds = COARSENESS[1:] if well_known else COARSENESS
+            candidate = _examine(pair, hypothesis.start, hypothesis.geometry, rounds)
             if candidate and (best is None or candidate.rank > best.rank):
                 best = candidate
             if best and best.rank > (True, _CERTAIN):

@@ -1,6 +1,6 @@
 """Sub-pixel agreement of two pictures over the ground: evidence and refinement at once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,10 @@ _MIN_CELL_PX, _MAX_CELL_PX = 8, 40
 _WANTED = 250  # patches: more hardly lower the error, and time grows with them
 _MIN_CORRELATION = 0.6
 _FLOOR_PX = 0.1  # interpolation and model error that the patch's own covariance does not know
+_CORRELATED = 2.25
+"""Neighbouring patches overlap and share light and optics: the homography scatters 1.5 times as
+much as independent ones would let it, measured over three hundred rendered pairs."""
+
 _FEWEST = 8
 _ITERATIONS = 10
 _MAX_SHIFT = 4.0  # samples
@@ -40,7 +44,7 @@ def grey_pyramid(pixels: Image) -> Pyramid:
 def textured_points(grey: NDArray[np.uint8], geometry: TwoView, max_range: float) -> Float:
     """Pick the best corner, (N, 2) pixels of i, of every cell of ground that both cameras see."""
     camera = geometry.camera_i
-    u, v = np.meshgrid(np.arange(4.0, camera.width, 8.0), np.arange(4.0, camera.height, 8.0))
+    u, v = np.meshgrid(np.arange(8.0, camera.width, 16.0), np.arange(8.0, camera.height, 16.0))
     coarse = np.column_stack([u.ravel(), v.ravel()])
     shared = _shared(coarse, geometry, max_range).mean()
     area = shared * camera.width * camera.height
@@ -154,6 +158,7 @@ def align(
         fit = fit_two_views(
             fit.geometry, expected, prior, points_i[good], points_j[good], whiten[good], 4.0
         )
+        fit = replace(fit, information=fit.information / _CORRELATED)
         geometry = fit.geometry
         errors = apply(geometry.homography, points_i) - points_j
         square = (np.einsum("nab,nb->na", whiten, errors) ** 2).sum(axis=1)

@@ -5,22 +5,27 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from gvpipe.core.ground import overhead_grid, overhead_view
+from gvpipe.core.ground import (
+    ground_points,
+    overhead_grid,
+    overhead_view,
+    pixel_from_ground,
+)
 from gvpipe.core.homography import transfer_errors
 from gvpipe.core.hypotheses import Matches
 from gvpipe.core.twoview import TwoView
 from gvpipe.core.types import Float, View
 
-_LOWER = np.linspace(0.4, 0.96, 57)
+_LOWER = np.linspace(0.4, 0.96, 29)
 """Heights above the found plane tried, as shares of the height above the ground: a plane higher
 than 60 % of the camera fills the picture and is not the floor of anything."""
 _LOWER_PX = 5.0
 _LOWER_FEWEST = 8  # matches, so that chance (about 1 of 100 along a line of parallax) is ruled out
 
-_REPEAT_SIDE = 192  # pixels of the overhead view that is searched for repetition
+_REPEAT_SIDE = 144  # pixels of the overhead view that is searched for repetition
 _REPEAT_RANGE = 3.0  # camera heights it covers
-_REPEAT_SMOOTH = 6.0  # structure coarser than this many pixels is shading, not pattern
-_REPEAT_LEAST = 8  # pixels: nearer shifts are the pattern's own smoothness
+_REPEAT_SMOOTH = 5.0  # structure coarser than this many pixels is shading, not pattern
+_REPEAT_LEAST = 7  # pixels: nearer shifts are the pattern's own smoothness
 _REPEAT_OVERLAP = 0.3  # least share of the view that must overlap itself
 _REPEAT_CORRELATION = 0.35
 _REPEATS = 3
@@ -74,13 +79,17 @@ def lower_plane(geometry: TwoView, matches: Matches, inlier_px: float) -> TwoVie
     """
     p, q = matches.pixels_i, matches.pixels_j
     other = transfer_errors(geometry.homography, p, q) > max(inlier_px, 2 * _LOWER_PX)
-    planes = [plane_at(geometry, float(share)) for share in _LOWER]
-    counts = [
-        int((transfer_errors(plane.homography, p[other], q[other]) < _LOWER_PX).sum())
-        for plane in planes
-    ]
+    if other.sum() < _LOWER_FEWEST:
+        return None
+    ground, _ = ground_points(p[other], geometry.camera_i, geometry.mount_i)
+    from_j = pixel_from_ground(geometry.camera_j, geometry.mount_j)
+    counts = []
+    for share in _LOWER:
+        plane = plane_at(geometry, float(share))
+        errors = transfer_errors(from_j @ plane.ground_j_from_ground_i, ground, q[other])
+        counts.append(int((errors < _LOWER_PX).sum()))
     best = int(np.argmax(counts))
-    return planes[best] if counts[best] >= _LOWER_FEWEST else None
+    return plane_at(geometry, float(_LOWER[best])) if counts[best] >= _LOWER_FEWEST else None
 
 
 def repetitions(view: View, geometry: TwoView) -> Float:
@@ -117,9 +126,9 @@ def repetitions(view: View, geometry: TwoView) -> Float:
         spectrum = np.fft.rfft2(image, s=(rows, columns))
         return np.asarray(np.fft.irfft2(np.abs(spectrum) ** 2, s=(rows, columns)))
 
-    common = autocorrelation(mask)
-    energy = autocorrelation(detail)[0, 0] / max(common[0, 0], 1.0)
-    alike = autocorrelation(detail) / np.maximum(common, 1.0) / max(energy, 1e-9)
+    common, alike = autocorrelation(mask), autocorrelation(detail)
+    energy = alike[0, 0] / max(common[0, 0], 1.0)
+    alike = alike / np.maximum(common, 1.0) / max(energy, 1e-9)
     alike[common < _REPEAT_OVERLAP * common[0, 0]] = 0.0
     dv = np.fft.fftfreq(rows, 1.0 / rows)[:, None]
     du = np.fft.fftfreq(columns, 1.0 / columns)[None, :]
