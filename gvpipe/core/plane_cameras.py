@@ -1,6 +1,6 @@
 """Cameras of one unknown calibration over one plane: how their pictures map onto each other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,14 @@ GLOBALS = 3
 POSE = 6
 """Unknowns of one camera: x, y, yaw, logarithm of the height, tilt, roll."""
 
-UNDISTORTION_STEPS = 6
-"""Fixed point steps; for |k1| r^2 up to 0.2 the error falls fivefold with each."""
+UNDISTORTION_STEPS = 5
+"""Newton steps along the radius: exact to rounding for lenses that bend by a tenth."""
+
+LEAST_SLOPE = 0.2
+"""Where a lens would fold the picture back, steps are kept from running away."""
+
+FARTHEST = 10.0
+"""Error of points that fall behind a camera, picture widths: no weight is left at that."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +43,14 @@ class Matches:
 
 def undistort(points: Float, k1: float, k2: float) -> Float:
     """Take radial distortion out of rays: inverse of :func:`distort`, (N, 2)."""
-    rays = points
+    found = np.linalg.norm(points, axis=1, keepdims=True)
+    radius = found
     for _ in range(UNDISTORTION_STEPS):
-        r2 = (rays**2).sum(axis=1, keepdims=True)
-        rays = points / np.maximum(1 + k1 * r2 + k2 * r2**2, 0.1)
-    return rays
+        r2 = radius**2
+        slope = np.maximum(1 + 3 * k1 * r2 + 5 * k2 * r2**2, LEAST_SLOPE)
+        step = (radius * (1 + k1 * r2 + k2 * r2**2) - found) / slope
+        radius = np.clip(radius - step, 0.0, 3.0 * found)
+    return np.asarray(points * np.divide(radius, found, out=np.ones_like(found), where=found > 0))
 
 
 def distort(rays: Float, k1: float, k2: float) -> Float:
@@ -81,35 +90,21 @@ def ray_from_ground(poses: Float) -> Float:
     return np.stack([camera_from_map[..., 0], camera_from_map[..., 1], shift], axis=-1)
 
 
-def residuals(shared: Float, poses_i: Float, poses_j: Float, matches: Matches) -> Float:
+def residuals(shared: Float, poses: Float, matches: Matches) -> Float:
     """Transfer errors in the pictures j, (N, 2), picture widths.
 
     Parameters
     ----------
     shared : (3,) float64
         See :data:`GLOBALS`.
-    poses_i, poses_j : (N, 6) float64
-        Poses of the two cameras of each match.
+    poses : (M, 6) float64
+        See :data:`POSE`.
     matches : Matches
         What was seen.
     """
-    focal, k1, k2 = float(np.exp(shared[0])), float(shared[1]), float(shared[2])
-    rays = undistort(matches.points_i / focal, k1, k2)
-    ones = np.column_stack([rays, np.ones(len(rays))])
-    ground = np.einsum("nij,nj->ni", _inverse(ray_from_ground(poses_i)), ones)
-    seen = np.einsum("nij,nj->ni", ray_from_ground(poses_j), ground)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mapped = seen[:, :2] / seen[:, 2:]
-        error = focal * distort(mapped, k1, k2) - matches.points_j
-    behind = ~(np.isfinite(error).all(axis=1) & (np.abs(error) < 10).all(axis=1))
-    error[behind] = 10.0
-    return np.asarray(error)
-
-
-def _inverse(matrices: Float) -> Float:
-    """Adjugates of (N, 3, 3): inverses up to scale, which homographies do not have."""
-    a, b, c = matrices[:, 0], matrices[:, 1], matrices[:, 2]
-    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+    forward = ray_from_ground(poses)
+    ground = _apply(_inverse(forward)[matches.camera_i], _rays(shared, matches))
+    return _errors(shared, forward[matches.camera_j], ground, matches)
 
 
 def jacobian(shared: Float, poses: Float, matches: Matches) -> tuple[Float, Float, Float, Float]:
@@ -123,13 +118,65 @@ def jacobian(shared: Float, poses: Float, matches: Matches) -> tuple[Float, Floa
         By the poses of the first and of the second camera of each match.
     """
     step = 1e-6
-    poses_i, poses_j = poses[matches.camera_i], poses[matches.camera_j]
-    base = residuals(shared, poses_i, poses_j, matches)
-    unit = np.eye(POSE) * step
-    by_shared = [
-        residuals(shared + step * e, poses_i, poses_j, matches) - base for e in np.eye(GLOBALS)
+    i, j = matches.camera_i, matches.camera_j
+    forward = ray_from_ground(poses)
+    backward_i, forward_j = _inverse(forward)[i], forward[j]
+    rays = _rays(shared, matches)
+    ground = _apply(backward_i, rays)
+    base = _errors(shared, forward_j, ground, matches)
+    by_shared = []
+    for unit in np.eye(GLOBALS):
+        moved = shared + step * unit
+        moved_ground = _apply(backward_i, _rays(moved, matches))
+        by_shared.append(_errors(moved, forward_j, moved_ground, matches))
+    by_i, by_j = [], []
+    for unit in np.eye(POSE):
+        moved_forward = ray_from_ground(poses + step * unit)
+        moved_ground = _apply(_inverse(moved_forward)[i], rays)
+        by_i.append(_errors(shared, forward_j, moved_ground, matches))
+        by_j.append(_errors(shared, moved_forward[j], ground, matches))
+    derivatives = [
+        (np.stack(part, axis=-1) - base[..., None]) / step for part in (by_shared, by_i, by_j)
     ]
-    by_i = [residuals(shared, poses_i + e, poses_j, matches) - base for e in unit]
-    by_j = [residuals(shared, poses_i, poses_j + e, matches) - base for e in unit]
-    stacked = [np.stack(part, axis=-1) / step for part in (by_shared, by_i, by_j)]
-    return base, stacked[0], stacked[1], stacked[2]
+    return base, derivatives[0], derivatives[1], derivatives[2]
+
+
+def by_centre(shared: Float, poses: Float, matches: Matches) -> Float:
+    """Differentiate the residuals by the principal point, (N, 2, 2)."""
+    step = 1e-5
+    base = residuals(shared, poses, matches)
+    columns = []
+    for shift in step * np.eye(2):
+        moved = replace(
+            matches, points_i=matches.points_i - shift, points_j=matches.points_j - shift
+        )
+        columns.append((residuals(shared, poses, moved) - base) / step)
+    return np.stack(columns, axis=-1)
+
+
+def _rays(shared: Float, matches: Matches) -> Float:
+    """Rays of the points in pictures i, (N, 3)."""
+    rays = undistort(matches.points_i / np.exp(shared[0]), shared[1], shared[2])
+    return np.column_stack([rays, np.ones(len(rays))])
+
+
+def _errors(shared: Float, forward_j: Float, ground: Float, matches: Matches) -> Float:
+    """Distance of ground points, seen by cameras j, from where they were found, (N, 2)."""
+    seen = _apply(forward_j, ground)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mapped = seen[:, :2] / seen[:, 2:]
+        error = np.exp(shared[0]) * distort(mapped, shared[1], shared[2]) - matches.points_j
+    behind = ~(np.isfinite(error).all(axis=1) & (np.abs(error) < FARTHEST).all(axis=1))
+    error[behind] = FARTHEST
+    return np.asarray(error)
+
+
+def _apply(matrices: Float, vectors: Float) -> Float:
+    """Products of (N, 3, 3) and (N, 3)."""
+    return np.einsum("nij,nj->ni", matrices, vectors)
+
+
+def _inverse(matrices: Float) -> Float:
+    """Adjugates of (N, 3, 3): inverses up to scale, which homographies do not have."""
+    a, b, c = matrices[:, 0], matrices[:, 1], matrices[:, 2]
+    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.core.circular_points import FOCALS, first_guesses, spanning_tree
-from gvpipe.core.plane_cameras import GLOBALS, POSE, Matches, ray_from_ground
-from gvpipe.core.plane_descent import LOSS_SIGMAS, Descent, descend, normal_matrix, transfer_errors
+from gvpipe.core.plane_cameras import GLOBALS, POSE, Matches, ray_from_ground, residuals
+from gvpipe.core.plane_descent import LOSS_SIGMAS, Descent, covariance, descend
 from gvpipe.core.raw_matching import PlanePair
 from gvpipe.core.types import Float, Rejected
 
@@ -179,17 +179,10 @@ def _verdict(
     state: Descent, matches: Matches, members: list[int], pairs: int, reference: int, width: float
 ) -> SelfCalibration | Rejected:
     """Judge a solution by its covariance and its residuals."""
-    normal, _ = normal_matrix(
-        state.shared, state.poses, matches, state.sigma, float(state.shared[0])
-    )
-    free = np.ones(len(normal), bool)
-    first = GLOBALS + POSE * reference
-    free[first : first + 4] = False
-    spread = np.zeros_like(normal)
     # a point that k pairs share is no k points: each picture's evidence counts once
     repeats = max(2.0 * pairs / len(members), 1.0)
-    spread[np.ix_(free, free)] = np.linalg.pinv(normal[np.ix_(free, free)]) * repeats
-    errors = transfer_errors(state.shared, state.poses, matches)
+    spread = covariance(state, matches, reference, repeats)
+    errors = residuals(state.shared, state.poses, matches)
     inlier = np.linalg.norm(errors, axis=1) < LOSS_SIGMAS * state.sigma
     error_px = float(np.sqrt((errors[inlier] ** 2).sum(axis=1).mean())) * width
     focal = float(np.exp(state.shared[0])) * width
