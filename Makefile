@@ -19,10 +19,10 @@ INPUTS  := $(CONFIG)
 
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help run all install dev test lint format bench samples clean distclean
+.PHONY: help run all install dev test lint format bench faults fuzz fuzz-coverage audit samples clean distclean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 run all: $(OUT)/reconstruct/obstacles.json $(OUT)/localize/localize.json ## run the whole chain on CONFIG (default: the sample)
 	@echo "artefacts of $(CONFIG) are in $(OUT)"
@@ -74,6 +74,23 @@ format: $(DEV) ## format the code
 
 bench: $(DEV) ## measure speed against named peers
 	@for f in tests/bench/bench_*.py; do echo "== $$f"; $(BIN)/python $$f || exit 1; done
+
+faults: $(DEV) ## kill, interrupt and starve runs at random (half an hour; mounting a full disk needs root)
+	$(BIN)/python -m tests.faults.kills 200
+	$(BIN)/python -m tests.faults.signals 60
+	$(BIN)/python -m tests.faults.fulldisk 9
+	$(BIN)/python -m tests.faults.same
+
+fuzz: $(DEV) ## read 20,000 damaged configurations and 5,000 damaged artefacts
+	$(BIN)/python -m tests.faults.fuzz 20000 5000
+
+fuzz-coverage: $(DEV) ## search for configurations that break the reader, led by coverage
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
+	$(BIN)/python -m tests.faults.coverage_fuzz -max_total_time=300 -max_len=4096 configs
+
+audit: $(DEV) ## look the pinned packages up among known weaknesses
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
+	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
 
 clean: ## remove the artefacts of CONFIG
 	rm -rf $(OUT)

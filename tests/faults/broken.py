@@ -72,7 +72,7 @@ def makers(picture: Image.Image) -> dict[str | bytes, bytes | Maker]:
         "10 half cut.jpg": jpeg[: len(jpeg) // 2],
         "11 last byte missing.jpg": jpeg[:-1],
         "12 start only.jpg": jpeg[:2],
-        "13 no tables.jpg": jpeg.replace(b"\xff\xc4", b"\xff\xfe"),
+        "13 no tables.jpg": jpeg.replace(b"\xff\xdb", b"\xff\xfe"),
         "14 lying header.jpg": lying_jpeg(jpeg),
         "15 zeros.jpg": bytes(100_000),
         "16 half cut.bmp": bmp[: len(bmp) // 2],

@@ -162,9 +162,15 @@ READERS = ("localize",) * 16 + ("mosaic", "mosaic", "slam", "reconstruct")
 """Commands that read artefacts, the quick one most often."""
 
 
-def try_artefact(config: Path, reference: Path, rng: random.Random, findings: Findings) -> None:
+def try_artefact(
+    config: Path,
+    reference: Path,
+    rng: random.Random,
+    findings: Findings,
+    readers: tuple[str, ...] = READERS,
+) -> None:
     """Give a command a damaged artefact to read."""
-    stage = rng.choice(READERS)
+    stage = rng.choice(readers)
     upstream = {"localize": "match", "mosaic": "slam", "reconstruct": "mosaic"}.get(
         stage, rng.choice(["match", "overlap"])
     )

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from tests.faults.rig import (
@@ -50,26 +51,37 @@ class Figures:
         return "\n".join(lines + self.problems)
 
 
+@dataclass(frozen=True)
 class Target:
-    """A set with a finished reference run, and runs to be killed beside it."""
+    """A set whose chain has run undisturbed, and how long its commands take."""
 
-    def __init__(self, folder: Path):
-        self.config = make_small_set(folder / "set")
-        self.folder = folder
-        self.seconds: dict[str, float] = {}
+    folder: Path
+    config: Path
+    seconds: dict[str, float]
+
+    @classmethod
+    def make(cls, folder: Path) -> "Target":
+        """Make a set in a folder and run the chain on it."""
+        config = make_small_set(folder / "set")
+        seconds = {}
         for stage in STAGES:
-            run(stage, self.config)  # compiles what is not compiled yet
+            run(stage, config)  # compiles what is not compiled yet
             started = time.monotonic()
-            ended = run(stage, self.config, "--force")
+            ended = run(stage, config, "--force")
             assert ended.code == 0, ended
-            self.seconds[stage] = time.monotonic() - started
-        self.reference = snapshot(folder / "set" / "run")
+            seconds[stage] = time.monotonic() - started
+        return cls(folder, config, seconds)
+
+    @cached_property
+    def reference(self) -> dict[str, bytes]:
+        """What undisturbed runs write."""
+        return snapshot(self.config.parent / "run")
 
     def prepare(self, stage: str) -> Path:
         """Make an output folder in which everything before a stage is done."""
         out = Path(tempfile.mkdtemp(dir=self.folder))
         for done in STAGES[: STAGES.index(stage)]:
-            shutil.copytree(self.folder / "set" / "run" / done, out / done)
+            shutil.copytree(self.config.parent / "run" / done, out / done)
         return out
 
     def wrong_files(self, out: Path, stage: str) -> list[str]:
@@ -163,7 +175,7 @@ def main() -> int:
     rng = random.Random(int(sys.argv[2]) if len(sys.argv) > 2 else 0)
     total = Figures()
     with tempfile.TemporaryDirectory() as folder:
-        target = Target(Path(folder))
+        target = Target.make(Path(folder))
         while total.kills < wanted and len(total.problems) < 20:
             for stage in STAGES:
                 kills = min(KILLS_PER_RESUME, wanted - total.kills)

@@ -48,7 +48,7 @@ def main() -> int:
     rng = random.Random(int(sys.argv[2]) if len(sys.argv) > 2 else 0)
     total = Figures()
     with tempfile.TemporaryDirectory() as folder:
-        target = Target(Path(folder))
+        target = Target.make(Path(folder))
         while total.kills < wanted and len(total.problems) < 20:
             for stage in STAGES:
                 delay_s = rng.uniform(0.05, target.seconds[stage])
