@@ -101,7 +101,7 @@ class RobotConfig(Section):
     height: Height = Field(description="camera centre above the ground, metres; all lengths scale with it")
     tilt: Tilt = Field(description="degrees of the optical axis below the horizon, approximate; auto = find it")
     roll: Roll = Field(0.0, description="degrees about the optical axis, clockwise seen from behind")
-    poses: FilePath | None = Field(None, description="known poses: TUM file, camera to map, one line an image in order")
+    poses: FilePath | None = Field(None, description="known poses, camera to map: TUM file, one line an image in order; or COLMAP text model (folder or images.txt)")
     overrides: dict[str, OverrideConfig] = Field({}, description="what differs for single images, by file name")
 
 

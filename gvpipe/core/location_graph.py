@@ -14,11 +14,11 @@ from gvpipe.core.links import Link, robot_of
 from gvpipe.core.map_part import MapOptions, Part, Views, adjust_part
 from gvpipe.core.pose import yaw_tilt_roll
 from gvpipe.core.screening import screen
-from gvpipe.core.tracks import Index
+from gvpipe.core.tracks import Index, Tracks
 from gvpipe.core.transfer import median_error_px, residual_m
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
-__all__ = ["JudgedLink", "Link", "MapOptions", "MapResult", "PosedImage", "build_map"]
+__all__ = ["JudgedLink", "Link", "MapOptions", "MapResult", "PosedImage", "SeenGround", "build_map"]
 
 MIN_LIMIT_PX, MAX_LIMIT_PX = 1.0, 3.0
 STRAY = 5.0
@@ -47,6 +47,25 @@ class PosedImage:
     map_from_camera: Pose
     covariance: Float
     component: int
+
+
+@dataclass(frozen=True)
+class SeenGround:
+    """Ground points of one component, and where they were seen.
+
+    Attributes
+    ----------
+    images : tuple of image ids
+        What the cameras of the tracks stand for.
+    tracks : Tracks
+        Observed pixels.
+    points : (T, 2) float64
+        In the map, metres.
+    """
+
+    images: tuple[str, ...]
+    tracks: Tracks
+    points: Float
 
 
 @dataclass(frozen=True)
@@ -85,6 +104,8 @@ class MapResult:
         Images without a pose.
     closures : tuple of Closure
         Closing errors of the plain concatenation beside those of the map.
+    ground : tuple of SeenGround
+        What each component rests on.
     """
 
     poses: dict[str, PosedImage]
@@ -92,6 +113,7 @@ class MapResult:
     components: tuple[tuple[str, ...], ...]
     unregistered: tuple[tuple[str, str], ...]
     closures: tuple[Closure, ...]
+    ground: tuple[SeenGround, ...]
 
 
 def build_map(
@@ -244,6 +266,12 @@ class _Gathered:
                 [link for link, kept in zip(self.links, self.keep, strict=True) if kept],
                 {image: p.map_from_camera for image, p in poses.items()},
                 dict(zip(self.order, self.views.cameras, strict=True)),
+            ),
+            ground=tuple(
+                SeenGround(
+                    tuple(self.order[k] for k in part.members.tolist()), part.tracks, part.points
+                )
+                for part in self.parts
             ),
         )
 

@@ -10,7 +10,7 @@ from gvpipe.core.ground_bundle import Problem
 from gvpipe.core.links import Link
 from gvpipe.core.pose import robot_from_camera, rotation_matrix, yaw_tilt_roll
 from gvpipe.core.rig import Rig, centres, orientation
-from gvpipe.core.tracks import Index, chain_matches
+from gvpipe.core.tracks import Index, Tracks, chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
@@ -69,11 +69,17 @@ class Part:
         Camera to that frame.
     covariances : (M, 6, 6) float64
         Of (rotation vector, translation).
+    tracks : Tracks
+        What the adjustment rests on; its cameras are numbers within `members`.
+    points : (T, 2) float64
+        Ground points of the tracks in the component's frame, metres.
     """
 
     members: Index
     poses: list[Pose]
     covariances: Float
+    tracks: Tracks
+    points: Float
 
 
 def adjust_part(
@@ -112,20 +118,28 @@ def adjust_part(
         group=group.ravel().astype(np.int64),
     )
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
-    if not links:
-        return Part(members, _poses(rig, start), np.zeros((len(members), 6, 6)))
     slot = {int(k): n for n, k in enumerate(members)}
     tracks = chain_matches(
         [(slot[i], slot[j]) for i, j, _ in links],
         [(link.points_i, link.points_j) for _, _, link in links],
     )
+    if not links:
+        none = np.zeros((len(members), 6, 6))
+        return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
     adjusted = adjust(
         Problem(rig, tracks, 0),
         start,
         _mean_sigma(views, members, rig.group, options),
         None if options.height_sigma is None else options.height_sigma / float(rig.height.mean()),
     )
-    return Part(members, _poses(rig, adjusted.state.cameras), pose_covariances(rig, adjusted, 0))
+    turn = _turn(rig, adjusted.state.cameras)
+    return Part(
+        members,
+        _poses(rig, adjusted.state.cameras, turn),
+        pose_covariances(rig, adjusted, 0),
+        tracks,
+        adjusted.state.points @ turn[:2, :2].T,
+    )
 
 
 def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:
@@ -165,10 +179,14 @@ def _seen_from(origin: Float, planar: Float) -> Float:
     return np.column_stack([moved, planar[:, 2] - origin[2]])
 
 
-def _poses(rig: Rig, cameras: Float) -> list[Pose]:
-    """Poses in the frame below camera 0, x along its optical axis."""
-    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
-    angle = -yaw_tilt_roll(rotation[0])[0]
+def _turn(rig: Rig, cameras: Float) -> Float:
+    """Rotation (3, 3) about the vertical that brings the axis of camera 0 to x."""
+    angle = -yaw_tilt_roll(orientation(rig, cameras)[0][0].T)[0]
     c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _poses(rig: Rig, cameras: Float, turn: Float) -> list[Pose]:
+    """Poses in a frame turned about the vertical."""
+    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
     return [Pose(turn @ r, turn @ t) for r, t in zip(rotation, centres(rig, cameras), strict=True)]

@@ -12,8 +12,6 @@ from gvpipe.core.loops import gap_candidates, loop_candidates
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
 from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
-from gvpipe.formats.location_graph import GraphEdge, GraphNode, draw
-from gvpipe.formats.tum import format_tum
 from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import (
     Body,
@@ -27,6 +25,7 @@ from gvpipe.records import (
     UnregisteredRow,
 )
 from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.slam_files import SlamEvidence, write_files
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
@@ -50,10 +49,13 @@ def needs(config: Config) -> tuple[type[Body], ...]:
     return () if known else (MatchBody, OverlapBody)
 
 
-def run(context: Context) -> Outcome[SlamBody, Dataset]:
+def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
     """Build the map from matches, or take the known poses."""
     dataset = context.dataset
-    body = _mapped(context) if needs(context.config) else _known(dataset)
+    if needs(context.config):
+        body, evidence = _mapped(context)
+    else:
+        body, evidence = _known(dataset), SlamEvidence(dataset)
     registered = len(body.poses)
     summary = (
         ("registered", f"{registered} of {len(dataset.entries)} images"),
@@ -64,39 +66,12 @@ def run(context: Context) -> Outcome[SlamBody, Dataset]:
     why = "no image could be linked to another" if registered < 2 else None
     if len(dataset.entries) == 1 and registered == 1:
         why = None
-    return Outcome(body, dataset, no_result=why, summary=summary)
+    return Outcome(body, evidence, no_result=why, summary=summary)
 
 
-def write(outcome: Outcome[SlamBody, Dataset], folder: Path) -> None:
-    """Write one trajectory a robot, and the drawn location graph."""
-    poses = {row.image: Pose(row.R, row.t) for row in outcome.body.poses}
-    for robot, entries in outcome.payload.robots.items():
-        stamped = [
-            (float(k), poses[entry.image_id])
-            for k, entry in enumerate(entries)
-            if entry.image_id in poses
-        ]
-        (folder / f"{robot}.tum").write_text(format_tum(stamped), encoding="utf-8")
-    if outcome.body.poses:
-        (folder / "location_graph.svg").write_text(_drawn(outcome.body), encoding="utf-8")
-
-
-def _drawn(body: SlamBody) -> str:
-    """Draw the location graph."""
-    nodes = [
-        GraphNode(
-            image=row.image,
-            robot=row.robot,
-            label=row.robot + Path(row.image).stem,
-            component=row.component,
-            x=row.x,
-            y=row.y,
-            yaw=float(np.radians(row.yaw_deg)),
-            covariance=row.covariance[3:5, 3:5],
-        )
-        for row in body.poses
-    ]
-    return draw(nodes, [GraphEdge(row.image_i, row.image_j, row.kind) for row in body.edges])
+def write(outcome: Outcome[SlamBody, SlamEvidence], folder: Path) -> None:
+    """Write the map in the formats of other programs, and the drawn location graph."""
+    write_files(outcome.body, outcome.payload, folder)
 
 
 def _known(dataset: Dataset) -> SlamBody:
@@ -108,7 +83,7 @@ def _known(dataset: Dataset) -> SlamBody:
     return SlamBody(reference=None, poses=rows, edges=(), components=1, unregistered=())
 
 
-def _mapped(context: Context) -> SlamBody:
+def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     """Adjust all cameras over the plane; look for more links where the map shows common ground."""
     entries = {entry.image_id: entry for entry in context.dataset.entries}
     reference = context.config.slam.reference or next(iter(entries))
@@ -136,7 +111,9 @@ def _mapped(context: Context) -> SlamBody:
             break
         links += found
         result = adjusted()
-    return _body(reference, entries, links, result)
+    kept = tuple(link for link, x in zip(links, result.links, strict=True) if x.kept)
+    evidence = SlamEvidence(context.dataset, kept, result.ground)
+    return _body(reference, entries, links, result), evidence
 
 
 def _tried(context: Context) -> set[tuple[str, str]]:
