@@ -14,9 +14,8 @@ from gvpipe.core.types import Camera, Mount, Pose, View
 from gvpipe.errors import ConfigError, InputError
 from gvpipe.examine import FoundImage, examine
 from gvpipe.filelist import list_files
-from gvpipe.formats.colmap import read_images
 from gvpipe.formats.files import file_sha256
-from gvpipe.formats.tum import read_tum
+from gvpipe.knownposes import known_poses, pose_file
 from gvpipe.names import escape, nearest
 from gvpipe.pixels import PixelSource, PixelStore, inside_photograph
 
@@ -157,8 +156,8 @@ def open_dataset(config: Config, *, jobs: int = 1) -> Dataset:
                 raise InputError(_nothing_usable(name, robot, outcomes))
             if robot.poses is not None:
                 ids = [_image_id(name, item) for item in found if item.counts]
-                poses |= _known_poses(robot.poses, robot.images, ids)
-                pose_files[name] = file_sha256(_pose_file(robot.poses))[0]
+                poses |= known_poses(robot.poses, robot.images, ids)
+                pose_files[name] = file_sha256(pose_file(robot.poses))[0]
     _check_ids(config, [e.image_id for e in entries] + [s.image for s in skipped])
     usable = {entry.image_id for entry in entries}
     known = {image_id: pose for image_id, pose in poses.items() if image_id in usable}
@@ -246,51 +245,13 @@ def _nothing_usable(name: str, robot: RobotConfig, outcomes: Iterable[ImageEntry
     return f"robots.{name}.images: {escape(str(robot.images))}: no usable image{detail}"
 
 
-def _pose_file(poses: Path) -> Path:
-    """File that holds known poses: of a COLMAP model, the one with its images."""
-    return poses / "images.txt" if poses.is_dir() else poses
-
-
-def _known_poses(poses: Path, images: Path, ids: list[str]) -> dict[str, Pose]:
-    """Poses of all images of a robot, bad ones included, by id."""
-    file = _pose_file(poses)
-    name = escape(str(file))
-    if file.name == "images.txt":
-        known = _by_name(file, ids)
-    else:
-        rows = read_tum(file)
-        if len(rows) != len(ids):
-            expected = f"{len(ids)}, one line for each image in {escape(str(images))}"
-            raise InputError(f"{name}: {len(rows)} poses; expected {expected}")
-        known = {image_id: pose for image_id, (_, pose) in zip(ids, rows, strict=True)}
-    for image_id, pose in known.items():
-        if pose.translation[2] <= 0:
-            height = f"{pose.translation[2]:g} m above the ground z = 0"
-            raise InputError(f"{name}: the camera of {image_id} is {height}")
-    return known
-
-
-def _by_name(file: Path, ids: list[str]) -> dict[str, Pose]:
-    """Look the poses of a COLMAP model up by image id, or else by file name alone."""
-    rows = [(escape(row.name), row.map_from_camera) for row in read_images(file)]
-    by_id = dict(rows)
-    by_file = {name.rsplit("/", 1)[-1]: pose for name, pose in rows}
-    known = {}
-    for image_id in ids:
-        short = image_id.split("/", 1)[1]
-        pose = by_id.get(image_id, by_id.get(short, by_file.get(short)))
-        if pose is None:
-            raise InputError(f"{escape(str(file))}: no pose of {image_id}{nearest(short, by_file)}")
-        known[image_id] = pose
-    return known
-
-
 def _check_ids(config: Config, ids: list[str]) -> None:
     """Images named in the configuration must exist, usable or not."""
     pairs = config.match.pairs if isinstance(config.match.pairs, tuple) else ()
     named = [(f"match.pairs.{k}", image_id) for k, pair in enumerate(pairs) for image_id in pair]
     if config.slam.reference is not None:
         named.append(("slam.reference", config.slam.reference))
+    named += [(f"slam.control.{k}.image", p.image) for k, p in enumerate(config.slam.control)]
     known = set(ids)
     lines = [
         f"{key}: {escape(image_id)}: no such image{nearest(image_id, ids)}"

@@ -9,7 +9,7 @@ import pytest
 from gvpipe.core.distortion import photographed, undistorted
 from gvpipe.core.pose import rotation_vector
 from gvpipe.core.types import Camera, Float, Pose
-from gvpipe.dataset import Dataset, ImageEntry, _known_poses
+from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.errors import InputError
 from gvpipe.formats.colmap import (
     PosedImage,
@@ -21,6 +21,7 @@ from gvpipe.formats.colmap import (
 from gvpipe.formats.g2o import read_g2o
 from gvpipe.formats.kitti import read_kitti
 from gvpipe.formats.tum import read_tum
+from gvpipe.knownposes import known_poses
 from gvpipe.pixels import PixelSource
 from gvpipe.stages.slam_files import SlamEvidence, _pose_graph
 from tests.conftest import TinySet
@@ -141,13 +142,13 @@ def test_known_poses_come_from_a_colmap_model(tmp_path: Path) -> None:
         images = [PosedImage(n, 1, p) for n, p in zip(names, order, strict=True)]
         (tmp_path / "images.txt").write_text(format_images(images))
         for source in (tmp_path, tmp_path / "images.txt"):
-            known = _known_poses(source, tmp_path, ids)
+            known = known_poses(source, tmp_path, ids)
             for image_id, pose in zip(ids, poses, strict=True):
                 np.testing.assert_allclose(
                     known[image_id].translation, pose.translation, atol=1e-12
                 )
     with pytest.raises(InputError, match=r"images\.txt: no pose of A/4\.jpg"):
-        _known_poses(tmp_path, tmp_path, ["A/4.jpg"])
+        known_poses(tmp_path, tmp_path, ["A/4.jpg"])
 
 
 def test_points_name_their_features(tmp_path: Path) -> None:

@@ -5,7 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.adjustment import adjust, pose_covariances
+from gvpipe.core.adjustment import adjust, fixed_by, pose_covariances
+from gvpipe.core.control import Control
+from gvpipe.core.correlation import shared_errors
+from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.ground_bundle import Problem
 from gvpipe.core.links import Link
 from gvpipe.core.pose import robot_from_camera, rotation_matrix, yaw_tilt_roll
@@ -64,7 +67,8 @@ class Part:
     Attributes
     ----------
     members : (M,) int64
-        Its images; the frame lies below the first one, x along its optical axis.
+        Its images; the frame lies below the first one, x along its optical axis, or is that of
+        the known ground points.
     poses : list of Pose
         Camera to that frame.
     covariances : (M, 6, 6) float64
@@ -73,6 +77,8 @@ class Part:
         What the adjustment rests on; its cameras are numbers within `members`.
     points : (T, 2) float64
         Ground points of the tracks in the component's frame, metres.
+    fixed : bool
+        Whether known ground points fix frame and scale.
     """
 
     members: Index
@@ -80,6 +86,7 @@ class Part:
     covariances: Float
     tracks: Tracks
     points: Float
+    fixed: bool = False
 
 
 def adjust_part(
@@ -88,6 +95,7 @@ def adjust_part(
     links: Sequence[tuple[int, int, Link]],
     planar: Float,
     options: MapOptions,
+    control: Control,
 ) -> Part:
     """Adjust the cameras of one component.
 
@@ -103,6 +111,8 @@ def adjust_part(
         Rough position and heading of every image, in any common frame.
     options : MapOptions
         Priors.
+    control : Control
+        Known ground points; its cameras are numbers of images.
 
     Returns
     -------
@@ -126,20 +136,39 @@ def adjust_part(
     if not links:
         none = np.zeros((len(members), 6, 6))
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
+    problem = Problem(rig, tracks, 0)
     adjusted = adjust(
-        Problem(rig, tracks, 0),
+        problem,
         start,
         _mean_sigma(views, members, rig.group, options),
         None if options.height_sigma is None else options.height_sigma / float(rig.height.mean()),
     )
+    own = _own(control, slot)
     turn = _turn(rig, adjusted.state.cameras)
+    if own.fixes_the_map:
+        adjusted, problem = fixed_by(adjusted, problem, own)
+        turn = np.eye(3)
+    poses = _poses(rig, adjusted.state.cameras, turn)
+    plane = [pixel_from_plane(views.cameras[k], p) for k, p in zip(members, poses, strict=True)]
+    shared = shared_errors(
+        (plane[slot[j]] @ np.linalg.inv(plane[slot[i]]), link.points_i, link.points_j)
+        for i, j, link in links
+    )
     return Part(
         members,
-        _poses(rig, adjusted.state.cameras, turn),
-        pose_covariances(rig, adjusted, 0),
+        poses,
+        pose_covariances(problem, adjusted, 0, shared),
         tracks,
         adjusted.state.points @ turn[:2, :2].T,
+        own.fixes_the_map,
     )
+
+
+def _own(control: Control, slot: dict[int, int]) -> Control:
+    """Known points in images of a component, with their numbers within it."""
+    which = np.array([k for k, image in enumerate(control.camera.tolist()) if image in slot], int)
+    camera = np.array([slot[k] for k in control.camera[which].tolist()], dtype=np.int64)
+    return Control(camera, control.pixel[which], control.position[which])
 
 
 def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:

@@ -12,6 +12,7 @@ from gvpipe.core.loops import gap_candidates, loop_candidates
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
 from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
+from gvpipe.errors import InputError
 from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import (
     Body,
@@ -25,6 +26,7 @@ from gvpipe.records import (
     UnregisteredRow,
 )
 from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.slam_control import control_points, control_rows, control_summary
 from gvpipe.stages.slam_files import SlamEvidence, write_files
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
@@ -61,6 +63,7 @@ def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
         ("registered", f"{registered} of {len(dataset.entries)} images"),
         ("maps", str(body.components)),
         ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected"),
+        *(control_summary(body)),
         *((f"not on a map: {row.image}", row.reason) for row in body.unregistered[:5]),
     )
     why = "no image could be linked to another" if registered < 2 else None
@@ -91,7 +94,7 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     mounts = {image: entry.mount for image, entry in entries.items()}
 
     def adjusted() -> MapResult:
-        return build_map(cameras, mounts, list(entries), links, reference, options)
+        return build_map(cameras, mounts, list(entries), links, reference, options, control)
 
     settings = context.config.slam
     options = MapOptions(
@@ -100,6 +103,7 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
         scale_sigma=settings.scale_sigma,
         height_sigma=settings.height_sigma,
     )
+    control = control_points(context.config, context.dataset)
     links = [*_matched(context), *_overlapping(context)]
     result = adjusted()
     tried = _tried(context)
@@ -111,9 +115,12 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
             break
         links += found
         result = adjusted()
+    if settings.control and not any(ground.fixed for ground in result.ground):
+        raise InputError("slam.control: no map shows two different points of it")
     kept = tuple(link for link, x in zip(links, result.links, strict=True) if x.kept)
     evidence = SlamEvidence(context.dataset, kept, result.ground)
-    return _body(reference, entries, links, result), evidence
+    body = _body(reference, entries, links, result)
+    return body.model_copy(update={"control": control_rows(control, cameras, result)}), evidence
 
 
 def _tried(context: Context) -> set[tuple[str, str]]:

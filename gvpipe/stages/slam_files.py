@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gvpipe.core.correlation import shared_errors
 from gvpipe.core.distortion import photographed
 from gvpipe.core.ground import pixel_from_plane, plane_normal
 from gvpipe.core.homography import apply
@@ -95,16 +96,19 @@ def _drawn(body: SlamBody) -> str:
 def _pose_graph(poses: dict[str, Pose], evidence: SlamEvidence) -> str:
     """Write what each link alone says about its two cameras, beside the poses of the map."""
     number = {image: k for k, image in enumerate(poses)}
+    links = [x for x in evidence.links if x.image_i in poses and x.image_j in poses]
+    shared = shared_errors((x.homography, x.points_i, x.points_j) for x in links)
     edges = []
-    for link in evidence.links:
-        if link.image_i in poses and link.image_j in poses:
-            i, j = number[link.image_i], number[link.image_j]
-            edges.append(RelativeEdge(i, j, *_measured(link, poses[link.image_i], evidence)))
+    for link in links:
+        i, j = number[link.image_i], number[link.image_j]
+        i_from_j, covariance = _measured(link, poses[link.image_i], evidence)
+        spread = shared * covariance + LEAST_SIGMA**2 * np.eye(6)
+        edges.append(RelativeEdge(i, j, i_from_j, np.asarray(np.linalg.inv(spread))))
     return format_g2o(list(poses.values()), edges)
 
 
 def _measured(link: Link, pose_i: Pose, evidence: SlamEvidence) -> tuple[Pose, Float]:
-    """Pose of camera j in camera i by the link's homography, and its information as in g2o."""
+    """Pose of camera j in camera i by the link's homography, and its covariance as in g2o."""
     camera_i, camera_j = (
         evidence.dataset.entry(image).camera for image in (link.image_i, link.image_j)
     )
@@ -118,8 +122,7 @@ def _measured(link: Link, pose_i: Pose, evidence: SlamEvidence) -> tuple[Pose, F
     lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # the error of the opposite motion in the axes of camera j: translation, half rotation vector
     change = np.block([[-lever, -np.eye(3)], [-0.5 * np.eye(3), np.zeros((3, 3))]])
-    spread = change @ covariance @ change.T + LEAST_SIGMA**2 * np.eye(6)
-    return relative.j_from_i.inverse(), np.asarray(np.linalg.inv(spread), dtype=np.float64)
+    return relative.j_from_i.inverse(), np.asarray(change @ covariance @ change.T)
 
 
 def _colmap(poses: dict[str, Pose], evidence: SlamEvidence) -> dict[str, str]:
