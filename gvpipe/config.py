@@ -60,6 +60,13 @@ Pairs = Annotated[
     Annotated[Literal["consecutive", "exhaustive"], Tag("word")] | Annotated[PairList, Tag("list")],
     Discriminator(_kind),
 ]
+Pixel = Annotated[
+    tuple[Annotated[float, Field(ge=-1, le=65535)], Annotated[float, Field(ge=-1, le=65535)]],
+    Field(strict=False),
+]
+Metres = Annotated[float, Field(ge=-1e7, le=1e7)]
+Position = Annotated[tuple[Metres, Metres], Field(strict=False)]
+Controls = Annotated[tuple["ControlConfig", ...], Field(strict=False)]
 Cells = Annotated[int, Field(ge=8, le=2000)]
 Grid = Annotated[tuple[Cells, Cells, Cells], Field(strict=False)]
 
@@ -101,7 +108,7 @@ class RobotConfig(Section):
     height: Height = Field(description="camera centre above the ground, metres; all lengths scale with it")
     tilt: Tilt = Field(description="degrees of the optical axis below the horizon, approximate; auto = find it")
     roll: Roll = Field(0.0, description="degrees about the optical axis, clockwise seen from behind")
-    poses: FilePath | None = Field(None, description="known poses: TUM file, camera to map, one line an image in order")
+    poses: FilePath | None = Field(None, description="known poses, camera to map: TUM file, one line an image in order; or COLMAP text model (folder or images.txt)")
     overrides: dict[str, OverrideConfig] = Field({}, description="what differs for single images, by file name")
 
 
@@ -119,6 +126,14 @@ class OverlapConfig(Section):
     threshold: float = Field(0.2, gt=0, le=2, description="a candidate's histogram distance is below this")
 
 
+class ControlConfig(Section):
+    """A ground point whose place on the site is known."""
+
+    image: str = Field(description="image that shows it, robot/file name")
+    pixel: Pixel = Field(description="column and row in the photograph, pixel centres at integers")
+    map: Position = Field(description="x and y on the site, metres")
+
+
 class SlamConfig(Section):
     """The joint map."""
 
@@ -127,6 +142,7 @@ class SlamConfig(Section):
     scale_sigma: float = Field(0.005, gt=0, le=1, description="uncertainty of the configured heights, hence of the map's scale, relative")
     tilt_sigma_deg: float = Field(3.0, gt=0, le=45, description="uncertainty of a robot's configured tilt, degrees")
     roll_sigma_deg: float = Field(3.0, gt=0, le=45, description="uncertainty of a robot's configured roll, degrees")
+    control: Controls = Field((), description="known ground points, each {image, pixel, map}: two or more fix scale and frame of the map")
     loops: bool = Field(True, description="look for more pairs where the map shows common ground")
 
 

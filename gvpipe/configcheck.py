@@ -213,6 +213,9 @@ def _check_ids(data: Mapping[str, object], robots: Mapping[str, object]) -> Iter
             if len(pair) == 2 and isinstance(pair[0], str) and pair[0] == pair[1]:
                 message = f"is {quote(pair[0])} twice; expected two images"
                 yield Finding(("match", "pairs", k), message)
+    control = _mapping(data.get("slam")).get("control")
+    for k, point in enumerate(control if isinstance(control, list) else []):
+        ids.append((("slam", "control", k, "image"), _mapping(point).get("image")))
     for path, image_id in ids:
         if not isinstance(image_id, str):
             continue

@@ -271,7 +271,16 @@ def _show(value: Section | dict[str, Section], indent: str) -> Iterator[str]:
             yield key + comment
             yield from _show(item, indent + "  ")
         else:
-            yield f"{key} {format_value(str(item) if isinstance(item, Path) else item)}{comment}"
+            yield f"{key} {format_value(_plain(item))}{comment}"
+
+
+def _plain(item: object) -> object:
+    """Turn a value into plain data."""
+    if isinstance(item, tuple):
+        return [_plain(part) for part in item]
+    if isinstance(item, Section):
+        return item.model_dump(mode="json")
+    return str(item) if isinstance(item, Path) else item
 
 
 def _comment(info: FieldInfo) -> str:

@@ -15,7 +15,7 @@ from gvpipe.errors import ConfigError, InputError
 from gvpipe.examine import FoundImage, examine
 from gvpipe.filelist import list_files
 from gvpipe.formats.files import file_sha256
-from gvpipe.formats.tum import read_tum
+from gvpipe.knownposes import known_poses, pose_file
 from gvpipe.names import escape, nearest
 from gvpipe.pixels import PixelSource, PixelStore, inside_photograph
 
@@ -156,8 +156,8 @@ def open_dataset(config: Config, *, jobs: int = 1) -> Dataset:
                 raise InputError(_nothing_usable(name, robot, outcomes))
             if robot.poses is not None:
                 ids = [_image_id(name, item) for item in found if item.counts]
-                poses |= _known_poses(robot.poses, robot.images, ids)
-                pose_files[name] = file_sha256(robot.poses)[0]
+                poses |= known_poses(robot.poses, robot.images, ids)
+                pose_files[name] = file_sha256(pose_file(robot.poses))[0]
     _check_ids(config, [e.image_id for e in entries] + [s.image for s in skipped])
     usable = {entry.image_id for entry in entries}
     known = {image_id: pose for image_id, pose in poses.items() if image_id in usable}
@@ -245,25 +245,13 @@ def _nothing_usable(name: str, robot: RobotConfig, outcomes: Iterable[ImageEntry
     return f"robots.{name}.images: {escape(str(robot.images))}: no usable image{detail}"
 
 
-def _known_poses(file: Path, images: Path, ids: list[str]) -> dict[str, Pose]:
-    """Poses of all images of a robot, bad ones included, by id."""
-    rows = read_tum(file)
-    if len(rows) != len(ids):
-        expected = f"{len(ids)}, one line for each image in {escape(str(images))}"
-        raise InputError(f"{escape(str(file))}: {len(rows)} poses; expected {expected}")
-    for image_id, (_, pose) in zip(ids, rows, strict=True):
-        if pose.translation[2] <= 0:
-            height = f"{pose.translation[2]:g} m above the ground z = 0"
-            raise InputError(f"{escape(str(file))}: the camera of {image_id} is {height}")
-    return {image_id: pose for image_id, (_, pose) in zip(ids, rows, strict=True)}
-
-
 def _check_ids(config: Config, ids: list[str]) -> None:
     """Images named in the configuration must exist, usable or not."""
     pairs = config.match.pairs if isinstance(config.match.pairs, tuple) else ()
     named = [(f"match.pairs.{k}", image_id) for k, pair in enumerate(pairs) for image_id in pair]
     if config.slam.reference is not None:
         named.append(("slam.reference", config.slam.reference))
+    named += [(f"slam.control.{k}.image", p.image) for k, p in enumerate(config.slam.control)]
     known = set(ids)
     lines = [
         f"{key}: {escape(image_id)}: no such image{nearest(image_id, ids)}"

@@ -232,6 +232,15 @@ class ClosingRow(Record):
     adjusted_m: float
 
 
+class ControlRow(Record):
+    """How far a known ground point is from where the map sees it."""
+
+    image: str
+    component: int
+    error_px: float
+    error_m: float
+
+
 class SlamBody(Body):
     """All robots on metric maps, one for each connected component."""
 
@@ -242,6 +251,7 @@ class SlamBody(Body):
     edges: tuple[EdgeRow, ...]
     rejected_edges: tuple[RejectedEdgeRow, ...] = ()
     closing: tuple[ClosingRow, ...] = ()
+    control: tuple[ControlRow, ...] = ()
     components: int
     unregistered: tuple[UnregisteredRow, ...]
 

@@ -148,7 +148,7 @@ def run_stage(
             inputs=expected.inputs,
             files={},
             seed=config.seed,
-            scale_source=_scale_source(dataset),
+            scale_source=_scale_source(config),
             wall_s=round(time.monotonic() - started, 3),
             skipped=expected.skipped,
             reason=outcome.no_result,
@@ -199,5 +199,7 @@ def _fresh(folder: Path, name: str, expected: _Expectation) -> Artefact[Any] | N
     return None if expected.mismatch(artefact.header) else artefact
 
 
-def _scale_source(dataset: Dataset) -> Literal["height", "poses"]:
-    return "poses" if dataset.poses else "height"
+def _scale_source(config: Config) -> Literal["height", "poses", "control"]:
+    if all(robot.poses is not None for robot in config.robots.values()):
+        return "poses"
+    return "control" if config.slam.control else "height"

@@ -3,7 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from gvpipe.core.correlation import shared_errors
 from gvpipe.core.ground_bundle import Problem
+from gvpipe.core.homography import apply
 from gvpipe.core.location_graph import MapOptions, MapResult, build_map
 from gvpipe.core.pose import robot_from_camera, rotation_vector
 from gvpipe.core.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled
@@ -181,3 +183,21 @@ def test_a_robot_s_height_is_the_mean_of_its_pictures() -> None:
     assert np.mean(heights) == pytest.approx(0.6, rel=5e-4)
     found = errors(result, true_map(scene, "A/0000.jpg"))
     assert np.sqrt((found[:, 3:] ** 2).sum(axis=1).mean()) < 0.006
+
+
+def test_independent_errors_share_nothing_and_waves_do() -> None:
+    rng = np.random.default_rng(4)
+    h = np.array([[0.9, 0.1, 20.0], [-0.05, 1.1, 5.0], [1e-4, 2e-4, 1.0]])
+    independent, waves = [], []
+    for _ in range(60):
+        p = rng.uniform([0, 0], [640, 480], (150, 2))
+        q = apply(h, p) + rng.normal(0.0, 0.3, p.shape)
+        q[:3] += 40.0
+        independent.append((h, p, q))
+        phase = rng.uniform(0, 2 * np.pi, 4)
+        wave = np.column_stack([np.sin(p[:, k] / 60.0 + phase[k]) for k in (0, 1)])
+        waves.append((h, p, q + 0.1 * wave))
+    assert shared_errors(independent) < 1.15
+    assert shared_errors(waves) > 1.5
+    assert shared_errors([(h, p[:9], q[:9])]) == 1.0
+    assert shared_errors([(h, p, apply(h, p))]) == 1.0

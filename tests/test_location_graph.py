@@ -3,11 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gvpipe.core.ground import pixel_from_plane
+from gvpipe.core.homography import apply
 from gvpipe.core.links import Link, link_kind
-from gvpipe.core.location_graph import MapOptions, build_map
+from gvpipe.core.location_graph import ControlPoint, MapOptions, build_map
 from gvpipe.core.loops import gap_candidates, loop_candidates
 from gvpipe.core.pose import yaw_tilt_roll
-from gvpipe.core.types import Float, Mount
+from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import (
     Scene,
     arc_path,
@@ -172,3 +174,60 @@ def test_gaps_in_a_chain_are_bridged() -> None:
     found = gap_candidates(order, [("A/0.jpg", "A/1.jpg")], [("A/1.jpg", "A/2.jpg")], max_gap=2)
     pairs = [(c.image_i, c.image_j) for c in found]
     assert pairs == [("A/2.jpg", "A/3.jpg"), ("A/0.jpg", "A/2.jpg"), ("A/1.jpg", "A/3.jpg")]
+
+
+def seen_points(
+    scene: Scene, where: list[tuple[str, float, float]], shift: Float, turn: float
+) -> list[ControlPoint]:
+    """Clicks on points so far before and left of the cameras of images; in another frame."""
+    c, s = np.cos(turn), np.sin(turn)
+    points = []
+    for image, ahead, left in where:
+        pose = scene.poses[image]
+        yaw = yaw_tilt_roll(pose.rotation)[0]
+        way = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        world = pose.translation[:2] + way @ [ahead, left]
+        u, v = apply(pixel_from_plane(scene.cameras[image], pose), world[None])[0]
+        x, y = np.array([[c, -s], [s, c]]) @ world + shift
+        points.append(ControlPoint(image, (float(u), float(v)), (float(x), float(y))))
+    return points
+
+
+def test_known_points_fix_frame_and_scale() -> None:
+    # the configured heights are 3 % off; two known points far apart put that right
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        scene = make_scene({"A": loop_path(16)}, rng)
+        mounts = {x: replace(m, height=1.03 * m.height) for x, m in scene.mounts.items()}
+        shift, turn = np.array([100.0, -50.0]), 0.7
+        known = seen_points(
+            scene,
+            [("A/0002.jpg", 0.7, 0.1), ("A/0007.jpg", 0.8, -0.1), ("A/0011.jpg", 0.9, 0.0)],
+            shift,
+            turn,
+        )
+        clicked = [
+            replace(p, pixel=(p.pixel[0] + rng.normal(), p.pixel[1] + rng.normal())) for p in known
+        ]
+        result = build_map(
+            scene.cameras, mounts, scene.order, scene.links, scene.order[0], MapOptions(), clicked
+        )
+        assert result.ground[0].fixed
+        c, s = np.cos(turn), np.sin(turn)
+        site = Pose(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), np.append(shift, 0.0))
+        found = errors(result, {image: site @ pose for image, pose in scene.poses.items()})
+        assert rms_m(found) < 0.008
+        covariances = [posed.covariance for posed in result.poses.values()]
+        squares += [e @ np.linalg.solve(c, e) / 6 for e, c in zip(found, covariances, strict=True)]
+    assert 0.6 < np.mean(squares) < 1.5
+
+
+def test_one_known_point_fixes_nothing(patrol: Scene) -> None:
+    known = seen_points(patrol, [("A/0002.jpg", 0.7, 0.1)] * 2, np.zeros(2), 0.0)
+    result = build_map(
+        patrol.cameras, patrol.mounts, patrol.order, patrol.links, "A/0000.jpg", MapOptions(), known
+    )
+    assert not result.ground[0].fixed
+    pose = result.poses["A/0000.jpg"].map_from_camera
+    assert pose.translation[:2] == pytest.approx([0.0, 0.0], abs=1e-12)

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gvpipe.core.control import Control, placed_by
 from gvpipe.core.ground_bundle import Problem
-from gvpipe.core.normal import Normal, marginal_covariances
+from gvpipe.core.normal import marginal_covariances
 from gvpipe.core.pose import yaw_tilt_roll
 from gvpipe.core.rig import Rig, Spread, State, orientation, pose_jacobians, rescaled
 from gvpipe.core.types import Float
@@ -35,6 +36,9 @@ HELD_BY_HAND = 0.01
 A robot's suspension gives some tenths of a percent, a steady hand several percent. By hand the
 configured height is that of the first picture; on a robot it is the mean."""
 
+UNKNOWN_SCALE = 10.0
+"""Relative uncertainty of heights that say nothing about the scale, because known points do."""
+
 LOOSE_LEAN = np.radians(3.0)
 LOOSE_HEIGHT = 0.1
 """Deviations within a robot that the adjustment starts from, radians and relative."""
@@ -57,16 +61,16 @@ class Adjusted:
         Unknowns.
     spread : Spread
         Priors as the data set them.
+    loss_px : float
+        Scale of the robust loss.
     noise_px : float
         Deviation of one pixel coordinate.
-    normal : Normal
-        Normal matrix at the optimum.
     """
 
     state: State
     spread: Spread
+    loss_px: float
     noise_px: float
-    normal: Normal
 
 
 def adjust(
@@ -114,7 +118,32 @@ def adjust(
             break
     state = problem.minimise(state, spread, loss_px, noise_px, STEPS)
     state = rescaled(state, spread)
-    return Adjusted(state, spread, noise_px, problem.normal(state, spread, loss_px, noise_px))
+    return Adjusted(state, spread, loss_px, noise_px)
+
+
+def fixed_by(adjusted: Adjusted, problem: Problem, control: Control) -> tuple[Adjusted, Problem]:
+    """Bring an adjusted map into the site frame of known ground points and adjust it with them.
+
+    Parameters
+    ----------
+    adjusted : Adjusted
+        The map in a frame of its own.
+    problem : Problem
+        Its cameras and tracks.
+    control : Control
+        Two different points at least: they decide on the scale, no longer the heights.
+
+    Returns
+    -------
+    adjusted, problem : Adjusted, Problem
+    """
+    problem = Problem(problem.rig, problem.tracks, 0, control)
+    mean = adjusted.spread.mean.copy()
+    mean[:, 2] = UNKNOWN_SCALE
+    spread = replace(adjusted.spread, mean=mean)
+    state = placed_by(control, problem.rig, adjusted.state)
+    state = problem.minimise(state, spread, adjusted.loss_px, adjusted.noise_px, 3 * STEPS)
+    return replace(adjusted, state=state, spread=spread), problem
 
 
 def _noise(problem: Problem, state: State) -> tuple[float, float]:
@@ -165,17 +194,24 @@ def _within(
     return replace(spread, within=within, anchor=anchor)
 
 
-def pose_covariances(rig: Rig, adjusted: Adjusted, reference: int) -> Float:
-    """Covariances of the poses in the frame below the reference camera, along its axis.
+def pose_covariances(
+    problem: Problem, adjusted: Adjusted, reference: int, shared: float = 1.0
+) -> Float:
+    """Covariances of the poses in the map.
+
+    The map's frame is that of the known ground points, or lies below the reference camera, x along
+    its optical axis.
 
     Parameters
     ----------
-    rig : Rig
-        The cameras.
+    problem : Problem
+        The cameras; position and heading of the reference are held fixed in it.
     adjusted : Adjusted
-        Their adjustment; the reference's position and heading are held fixed in it.
+        Their adjustment.
     reference : int
         Camera that defines the frame.
+    shared : float
+        Factor by which errors that matches share raise the variance of what they determine.
 
     Returns
     -------
@@ -187,11 +223,15 @@ def pose_covariances(rig: Rig, adjusted: Adjusted, reference: int) -> Float:
     The frame turns with the reference camera's optical axis, whose heading moves a little when
     its lean does; that is why the covariance with the reference's leans enters.
     """
-    cameras = adjusted.state.cameras
+    rig, cameras = problem.rig, adjusted.state.cameras
+    noise_px = adjusted.noise_px * float(np.sqrt(shared))
+    normal = problem.normal(adjusted.state, adjusted.spread, adjusted.loss_px, noise_px)
     count = len(cameras)
     lean = (6 * reference + np.array([3, 4])).astype(np.int64)
-    own, cross = marginal_covariances(adjusted.normal, count, lean)
+    own, cross = marginal_covariances(normal, count, lean)
     jacobian = pose_jacobians(rig, cameras)
+    if problem.control:
+        return np.asarray(jacobian @ own @ jacobian.transpose(0, 2, 1))
     rotation = orientation(rig, cameras)[0][reference].T
     # change of the axis' heading by the two leans of the reference
     turning = jacobian[reference][:3, 3:5]

@@ -1,17 +1,14 @@
 """Which links agree with each other: rough placement by vote, then by least squares."""
 
 import heapq
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from gvpipe.core.placements import Index, Mask, Placements, disagreements, turned, wrapped
 from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 CUT = 3.0
 """A link is cut where its two images place the shared ground this many tolerances apart."""
@@ -30,77 +27,6 @@ TRIANGLES = 8
 
 SETTLED_M = 1e-6
 """Gauss-Newton stops when no image moves by more than this, metres or radians."""
-
-
-@dataclass(frozen=True)
-class Placements:
-    """What each link says about where its two robots stand on the ground.
-
-    Attributes
-    ----------
-    i, j : (E,) int64
-        Images of each link.
-    centre_i, centre_j : (E, 2) float64
-        Centroid of the shared ground points in the robot frames of i and of j, metres.
-    turn : (E,) float64
-        Heading of i minus heading of j, radians.
-    radius : (E,) float64
-        RMS distance of the shared points from their centroid, metres: turns a difference of
-        heading into one of position.
-    tolerance : (E,) float64
-        How far apart the two placements may be on average, metres.
-    trust : (E,) float64
-        Weight in the vote on which links to cut.
-    """
-
-    i: Index
-    j: Index
-    centre_i: Float
-    centre_j: Float
-    turn: Float
-    radius: Float
-    tolerance: Float
-    trust: Float
-
-    def pick(self, keep: Mask | Index) -> "Placements":
-        """Return the links under a mask or of given numbers."""
-        return Placements(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
-
-
-def _turned(heading: Float, points: Float) -> Float:
-    """Points (E, 2) turned counter-clockwise by headings (E,)."""
-    c, s = np.cos(heading), np.sin(heading)
-    return np.column_stack(
-        [c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]]
-    )
-
-
-def _wrapped(angle: Float) -> Float:
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
-
-
-def disagreements(links: Placements, planar: Float) -> Float:
-    """Tell how far apart the two images of each link place their shared ground.
-
-    Parameters
-    ----------
-    links : Placements
-        E links.
-    planar : (N, 3) float64
-        x, y (metres) and heading (radians) of every robot.
-
-    Returns
-    -------
-    residuals : (E, 3) float64
-        Difference of the centroids (two components) and of heading times radius, metres. The
-        norm of a row is the RMS distance between the two placements of the points.
-    """
-    a, b = planar[links.i], planar[links.j]
-    apart = (
-        a[:, :2] + _turned(a[:, 2], links.centre_i) - b[:, :2] - _turned(b[:, 2], links.centre_j)
-    )
-    turn = _wrapped(a[:, 2] - b[:, 2] - links.turn) * links.radius
-    return np.column_stack([apart, turn])
 
 
 def supported(links: Placements) -> Float:
@@ -160,8 +86,8 @@ def _carried(links: Placements, k: Index, known: Index, planar: Float) -> Float:
     here = np.where(forward[:, None], links.centre_i[k], links.centre_j[k])
     there = np.where(forward[:, None], links.centre_j[k], links.centre_i[k])
     heading = planar[:, 2] + np.where(forward, -links.turn[k], links.turn[k])
-    at = planar[:, :2] + _turned(planar[:, 2], here) - _turned(heading, there)
-    return np.column_stack([at, _wrapped(heading)])
+    at = planar[:, :2] + turned(planar[:, 2], here) - turned(heading, there)
+    return np.column_stack([at, wrapped(heading)])
 
 
 def _between(links: Placements, k: Index, at_b: Float, at_c: Float, b: Index) -> Float:
@@ -248,8 +174,8 @@ def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: 
     root = np.sqrt(weight)[:, None]
     for _ in range(steps):
         residual = disagreements(links, planar) * root
-        lever_i = _turned(planar[links.i, 2] + np.pi / 2, links.centre_i)
-        lever_j = _turned(planar[links.j, 2] + np.pi / 2, links.centre_j)
+        lever_i = turned(planar[links.i, 2] + np.pi / 2, links.centre_i)
+        lever_j = turned(planar[links.j, 2] + np.pi / 2, links.centre_j)
         one = np.ones(e)
         entries = [
             (row, 3 * links.i, one),

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 
+from gvpipe.core.control import Control
 from gvpipe.core.kernels import bundle as kernels
 from gvpipe.core.normal import Normal
 from gvpipe.core.rig import Rig, Spread, State, centres, orientation, prior_cost, prior_normal
@@ -18,11 +19,18 @@ MAX_DAMPING = 1e8
 
 
 class Problem:
-    """One connected set of cameras with their tracks."""
+    """One connected set of cameras with their tracks.
 
-    def __init__(self, rig: Rig, tracks: Tracks, reference: int) -> None:
+    Position and heading of the `reference` camera are held, or nothing is where known ground
+    points fix the map instead.
+    """
+
+    def __init__(
+        self, rig: Rig, tracks: Tracks, reference: int, control: Control | None = None
+    ) -> None:
         self.rig = rig
         self.tracks = tracks
+        self.control = control
         self.groups = int(rig.group.max()) + 1
         n = len(rig.height)
         lengths = np.diff(tracks.start)
@@ -31,9 +39,8 @@ class Problem:
         block_keys, block = np.unique(keys, return_inverse=True)
         self._pair_block = block.ravel().astype(np.int64)
         self._row, self._column = block_keys // n, block_keys % n
-        self.free = np.setdiff1d(
-            np.arange(6 * n + 3 * self.groups), 6 * reference + np.arange(3)
-        ).astype(np.int64)
+        held = 6 * reference + np.arange(3 if control is None else 0)
+        self.free = np.setdiff1d(np.arange(6 * n + 3 * self.groups), held).astype(np.int64)
 
     def initial_points(self, cameras: Float) -> Float:
         """Mean of where the observations of each track meet the ground, (T, 2) metres."""
@@ -72,7 +79,8 @@ class Problem:
     def cost(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> float:
         """Robust data cost over the noise variance, plus the priors."""
         data = self._robust_cost(state, loss_px, np.empty(len(state.points))) / noise_px**2
-        return float(data + prior_cost(self.rig, state, spread))
+        known = self.control.cost(self.rig, state.cameras) if self.control else 0.0
+        return float(data + known + prior_cost(self.rig, state, spread))
 
     def minimise(
         self, state: State, spread: Spread, loss_px: float, noise_px: float, steps: int
@@ -140,6 +148,9 @@ class Problem:
         prior_matrix, prior_gradient = prior_normal(self.rig, state, spread)
         total = np.concatenate([gradient.ravel() / noise_px**2, np.zeros(3 * self.groups)])
         matrix = self._assemble(blocks / noise_px**2) + prior_matrix
+        if self.control:
+            known, pull = self.control.normal(self.rig, state.cameras, len(total))
+            matrix, total = matrix + known, total + pull
         return (
             Normal(csc_matrix(matrix), self.free),
             total + prior_gradient,

@@ -7,18 +7,28 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gvpipe.core.closure import Closure, closures
-from gvpipe.core.consistency import Mask
+from gvpipe.core.control import Control
 from gvpipe.core.holding import MIN_POINTS, hold
 from gvpipe.core.links import Link, robot_of
 from gvpipe.core.map_part import MapOptions, Part, Views, adjust_part
+from gvpipe.core.map_result import Gathered, JudgedLink, MapResult, PosedImage, SeenGround
+from gvpipe.core.placements import Mask
 from gvpipe.core.pose import yaw_tilt_roll
 from gvpipe.core.screening import screen
 from gvpipe.core.tracks import Index
-from gvpipe.core.transfer import median_error_px, residual_m
-from gvpipe.core.types import Camera, Float, Mount, Pose
+from gvpipe.core.transfer import median_error_px
+from gvpipe.core.types import Camera, Float, Mount
 
-__all__ = ["JudgedLink", "Link", "MapOptions", "MapResult", "PosedImage", "build_map"]
+__all__ = [
+    "ControlPoint",
+    "JudgedLink",
+    "Link",
+    "MapOptions",
+    "MapResult",
+    "PosedImage",
+    "SeenGround",
+    "build_map",
+]
 
 MIN_LIMIT_PX, MAX_LIMIT_PX = 1.0, 3.0
 STRAY = 5.0
@@ -30,68 +40,22 @@ REVISIONS = 4
 
 
 @dataclass(frozen=True)
-class PosedImage:
-    """An image in the map.
+class ControlPoint:
+    """A ground point whose place is known.
 
     Attributes
     ----------
-    map_from_camera : Pose
-        Camera to map, metres.
-    covariance : (6, 6) float64
-        Of (rotation vector, translation): the true pose is ``exp(rotation vector) R`` and
-        ``t + translation``, both in map axes; radians and metres.
-    component : int
-        Maps that are not connected have different numbers; 0 holds the reference.
+    image : str
+        Image that shows it.
+    pixel : (float, float)
+        Where, undistorted.
+    position : (float, float)
+        In the site frame, metres.
     """
 
-    map_from_camera: Pose
-    covariance: Float
-    component: int
-
-
-@dataclass(frozen=True)
-class JudgedLink:
-    """What the map says about a link.
-
-    Attributes
-    ----------
-    kept : bool
-        Whether the map rests on it.
-    residual_m : float or None
-        Median distance on the ground between the two placements of its matches, metres; None
-        where its images are not in one component.
-    reason : str
-        Why it was left out; empty if kept.
-    """
-
-    kept: bool
-    residual_m: float | None
-    reason: str
-
-
-@dataclass(frozen=True)
-class MapResult:
-    """The joint map.
-
-    Attributes
-    ----------
-    poses : dict of image id to PosedImage
-        Registered images, in the given order.
-    links : tuple of JudgedLink
-        One for each link given, in the same order.
-    components : tuple of tuples of image ids
-        Maps that hang together; the first holds the reference if that is linked to anything.
-    unregistered : tuple of (image id, reason)
-        Images without a pose.
-    closures : tuple of Closure
-        Closing errors of the plain concatenation beside those of the map.
-    """
-
-    poses: dict[str, PosedImage]
-    links: tuple[JudgedLink, ...]
-    components: tuple[tuple[str, ...], ...]
-    unregistered: tuple[tuple[str, str], ...]
-    closures: tuple[Closure, ...]
+    image: str
+    pixel: tuple[float, float]
+    position: tuple[float, float]
 
 
 def build_map(
@@ -101,6 +65,7 @@ def build_map(
     links: Sequence[Link],
     reference: str,
     options: MapOptions,
+    control: Sequence[ControlPoint] = (),
 ) -> MapResult:
     """Pose all images of all robots in one metric map of the ground.
 
@@ -116,6 +81,8 @@ def build_map(
         The map frame lies on the ground below this image's camera, x along its optical axis.
     options : MapOptions
         Priors.
+    control : sequence of ControlPoint
+        Known ground points; a component that shows two of them lies in their frame and scale.
 
     Returns
     -------
@@ -127,7 +94,8 @@ def build_map(
         If `reference` or an image of a link is not in `order`.
     """
     index = {image: k for k, image in enumerate(order)}
-    for image in (reference, *(x for link in links for x in (link.image_i, link.image_j))):
+    named = [x for link in links for x in (link.image_i, link.image_j)]
+    for image in (reference, *named, *(point.image for point in control)):
         if image not in index:
             raise ValueError(f"{image} is not among the images to map")
     ends = np.array([(index[x.image_i], index[x.image_j]) for x in links], dtype=np.int64)
@@ -138,10 +106,15 @@ def build_map(
     views = Views([cameras[x] for x in order], held.expected, held.mounts, group)
     screened = screen(links, ends, usable, views.cameras, views.held)
     planar, keep = screened.planar, screened.keep
+    known = Control(
+        camera=np.array([index[p.image] for p in control], dtype=np.int64),
+        pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
+        position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
+    )
     parts: list[Part] = []
     for _ in range(REVISIONS):
         parts = [
-            adjust_part(views, members, _inside(members, ends, links, keep), planar, options)
+            adjust_part(views, members, _inside(members, ends, links, keep), planar, options, known)
             for members in _connected(len(order), index[reference], ends[keep])
         ]
         errors_px = _errors_px(views, parts, ends, links)
@@ -149,7 +122,7 @@ def build_map(
         if (revised == keep).all():
             break
         planar, keep = _planar(parts, planar), revised
-    return _Gathered(order, views, parts, ends, links, keep).result(held.reasons, errors_px)
+    return Gathered(order, views, parts, ends, links, keep).result(held.reasons, errors_px)
 
 
 def _robots(order: Sequence[str]) -> Index:
@@ -209,67 +182,3 @@ def _planar(parts: list[Part], planar: Float) -> Float:
         for k, p in zip(part.members, part.poses, strict=True):
             out[k] = [p.translation[0], p.translation[1], yaw_tilt_roll(p.rotation)[0]]
     return out
-
-
-@dataclass(frozen=True)
-class _Gathered:
-    """Everything :func:`build_map` knows at its end, to be told by image and by link."""
-
-    order: Sequence[str]
-    views: Views
-    parts: list[Part]
-    ends: Index
-    links: Sequence[Link]
-    keep: Mask
-
-    def result(self, reasons: list[str], errors_px: Float) -> MapResult:
-        """Gather poses, judged links and what could not be registered."""
-        posed = {
-            int(k): PosedImage(pose, covariance, number)
-            for number, part in enumerate(self.parts)
-            for k, pose, covariance in zip(part.members, part.poses, part.covariances, strict=True)
-        }
-        poses = {image: posed[k] for k, image in enumerate(self.order) if k in posed}
-        return MapResult(
-            poses=poses,
-            links=tuple(
-                self._judged(k, posed, reasons[k], float(errors_px[k]))
-                for k in range(len(self.links))
-            ),
-            components=tuple(
-                tuple(self.order[k] for k in np.sort(part.members).tolist()) for part in self.parts
-            ),
-            unregistered=self._unregistered(posed),
-            closures=closures(
-                [link for link, kept in zip(self.links, self.keep, strict=True) if kept],
-                {image: p.map_from_camera for image, p in poses.items()},
-                dict(zip(self.order, self.views.cameras, strict=True)),
-            ),
-        )
-
-    def _judged(
-        self, k: int, posed: Mapping[int, PosedImage], reason: str, error_px: float
-    ) -> JudgedLink:
-        """Say what the map makes of link k."""
-        i, j = self.ends[k].tolist()
-        together = i in posed and j in posed and posed[i].component == posed[j].component
-        residual = None
-        if together and len(self.links[k].points_i):
-            residual = residual_m(
-                self.links[k],
-                (self.views.cameras[i], self.views.cameras[j]),
-                (posed[i].map_from_camera, posed[j].map_from_camera),
-            )
-        if self.keep[k]:
-            return JudgedLink(True, residual, "")
-        if not reason and np.isfinite(error_px):
-            reason = f"contradicts the map: its matches miss by {error_px:.1f} px (median)"
-        return JudgedLink(False, residual, reason or "contradicts the other links")
-
-    def _unregistered(self, posed: Mapping[int, PosedImage]) -> tuple[tuple[str, str], ...]:
-        """Images without a pose, and why."""
-        touched = set(self.ends.ravel().tolist())
-        why = {True: "none of its links can be used", False: "no link to another image"}
-        return tuple(
-            (image, why[k in touched]) for k, image in enumerate(self.order) if k not in posed
-        )

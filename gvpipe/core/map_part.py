@@ -5,12 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.adjustment import adjust, pose_covariances
+from gvpipe.core.adjustment import adjust, fixed_by, pose_covariances
+from gvpipe.core.control import Control
+from gvpipe.core.correlation import shared_errors
+from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.ground_bundle import Problem
 from gvpipe.core.links import Link
 from gvpipe.core.pose import robot_from_camera, rotation_matrix, yaw_tilt_roll
 from gvpipe.core.rig import Rig, centres, orientation
-from gvpipe.core.tracks import Index, chain_matches
+from gvpipe.core.tracks import Index, Tracks, chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
@@ -64,16 +67,26 @@ class Part:
     Attributes
     ----------
     members : (M,) int64
-        Its images; the frame lies below the first one, x along its optical axis.
+        Its images; the frame lies below the first one, x along its optical axis, or is that of
+        the known ground points.
     poses : list of Pose
         Camera to that frame.
     covariances : (M, 6, 6) float64
         Of (rotation vector, translation).
+    tracks : Tracks
+        What the adjustment rests on; its cameras are numbers within `members`.
+    points : (T, 2) float64
+        Ground points of the tracks in the component's frame, metres.
+    fixed : bool
+        Whether known ground points fix frame and scale.
     """
 
     members: Index
     poses: list[Pose]
     covariances: Float
+    tracks: Tracks
+    points: Float
+    fixed: bool = False
 
 
 def adjust_part(
@@ -82,6 +95,7 @@ def adjust_part(
     links: Sequence[tuple[int, int, Link]],
     planar: Float,
     options: MapOptions,
+    control: Control,
 ) -> Part:
     """Adjust the cameras of one component.
 
@@ -97,6 +111,8 @@ def adjust_part(
         Rough position and heading of every image, in any common frame.
     options : MapOptions
         Priors.
+    control : Control
+        Known ground points; its cameras are numbers of images.
 
     Returns
     -------
@@ -112,20 +128,47 @@ def adjust_part(
         group=group.ravel().astype(np.int64),
     )
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
-    if not links:
-        return Part(members, _poses(rig, start), np.zeros((len(members), 6, 6)))
     slot = {int(k): n for n, k in enumerate(members)}
     tracks = chain_matches(
         [(slot[i], slot[j]) for i, j, _ in links],
         [(link.points_i, link.points_j) for _, _, link in links],
     )
+    if not links:
+        none = np.zeros((len(members), 6, 6))
+        return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
+    problem = Problem(rig, tracks, 0)
     adjusted = adjust(
-        Problem(rig, tracks, 0),
+        problem,
         start,
         _mean_sigma(views, members, rig.group, options),
         None if options.height_sigma is None else options.height_sigma / float(rig.height.mean()),
     )
-    return Part(members, _poses(rig, adjusted.state.cameras), pose_covariances(rig, adjusted, 0))
+    own = _own(control, slot)
+    turn = _turn(rig, adjusted.state.cameras)
+    if own.fixes_the_map:
+        adjusted, problem = fixed_by(adjusted, problem, own)
+        turn = np.eye(3)
+    poses = _poses(rig, adjusted.state.cameras, turn)
+    plane = [pixel_from_plane(views.cameras[k], p) for k, p in zip(members, poses, strict=True)]
+    shared = shared_errors(
+        (plane[slot[j]] @ np.linalg.inv(plane[slot[i]]), link.points_i, link.points_j)
+        for i, j, link in links
+    )
+    return Part(
+        members,
+        poses,
+        pose_covariances(problem, adjusted, 0, shared),
+        tracks,
+        adjusted.state.points @ turn[:2, :2].T,
+        own.fixes_the_map,
+    )
+
+
+def _own(control: Control, slot: dict[int, int]) -> Control:
+    """Known points in images of a component, with their numbers within it."""
+    which = np.array([k for k, image in enumerate(control.camera.tolist()) if image in slot], int)
+    camera = np.array([slot[k] for k in control.camera[which].tolist()], dtype=np.int64)
+    return Control(camera, control.pixel[which], control.position[which])
 
 
 def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:
@@ -165,10 +208,14 @@ def _seen_from(origin: Float, planar: Float) -> Float:
     return np.column_stack([moved, planar[:, 2] - origin[2]])
 
 
-def _poses(rig: Rig, cameras: Float) -> list[Pose]:
-    """Poses in the frame below camera 0, x along its optical axis."""
-    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
-    angle = -yaw_tilt_roll(rotation[0])[0]
+def _turn(rig: Rig, cameras: Float) -> Float:
+    """Rotation (3, 3) about the vertical that brings the axis of camera 0 to x."""
+    angle = -yaw_tilt_roll(orientation(rig, cameras)[0][0].T)[0]
     c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _poses(rig: Rig, cameras: Float, turn: Float) -> list[Pose]:
+    """Poses in a frame turned about the vertical."""
+    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
     return [Pose(turn @ r, turn @ t) for r, t in zip(rotation, centres(rig, cameras), strict=True)]

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.consistency import Mask, Placements, agree
+from gvpipe.core.consistency import agree
 from gvpipe.core.links import Link
 from gvpipe.core.placement import Placement, place
+from gvpipe.core.placements import Mask, Placements
 from gvpipe.core.tracks import Index
 from gvpipe.core.types import Camera, Float, Mount
 

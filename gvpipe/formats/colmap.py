@@ -1,18 +1,20 @@
-"""COLMAP text models: ``cameras.txt`` and ``images.txt``.
+"""COLMAP text models: ``cameras.txt``, ``images.txt`` and ``points3D.txt``.
 
 COLMAP counts pixels from the corner of the first one, gvpipe from its centre: half a pixel is
-taken off principal points on reading and added on writing. Its poses are camera from world.
+taken off principal points on reading and added to them and to features on writing. Its poses are
+camera from world.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gvpipe.core.types import Pose, Rejected
+from gvpipe.core.types import Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.calibration import Calibration
 from gvpipe.formats.files import read_regular_file
@@ -51,6 +53,36 @@ class PosedImage:
     name: str
     camera: int
     map_from_camera: Pose
+
+
+@dataclass(frozen=True)
+class SparsePoints:
+    """Points and where they were seen: all that ``points3D.txt`` and features hold.
+
+    Attributes
+    ----------
+    position : (T, 3) float64
+        In the map, metres.
+    error_px : (T,) float64
+        Mean reprojection error.
+    start : (T + 1,) int64
+        Observations ``start[t]:start[t + 1]`` belong to point t.
+    image : (M,) int64
+        Number of the image of each observation, in the list that is written.
+    pixel : (M, 2) float64
+        Where it was seen in the photograph, pixel centres at integers.
+    """
+
+    position: Float
+    error_px: Float
+    start: NDArray[np.int64]
+    image: NDArray[np.int64]
+    pixel: Float
+
+    @property
+    def point(self) -> NDArray[np.int64]:
+        """Point of each observation, (M,)."""
+        return np.repeat(np.arange(len(self.position)), np.diff(self.start))
 
 
 def read_cameras(path: Path) -> dict[int, Calibration]:
@@ -141,14 +173,44 @@ def read_images(path: Path) -> list[PosedImage]:
     return images
 
 
-def format_images(images: list[PosedImage]) -> str:
-    """Write ``images.txt`` without features."""
-    lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of features"]
+def format_images(images: Sequence[PosedImage], points: SparsePoints | None = None) -> str:
+    """Write ``images.txt``; images are numbered from 1 in their order, points too.
+
+    Parameters
+    ----------
+    images : sequence of PosedImage
+        Poses.
+    points : SparsePoints, optional
+        Their observations become the features, in the same order.
+    """
+    features: list[list[str]] = [[] for _ in images]
+    if points is not None:
+        rows = zip(points.image.tolist(), points.pixel.tolist(), points.point.tolist(), strict=True)
+        for image, (u, v), point in rows:
+            features[image].append(f"{u + 0.5!r} {v + 0.5!r} {point + 1}")
+    lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of X Y POINT3D_ID"]
     for number, image in enumerate(images, start=1):
         pose = image.map_from_camera.inverse()
         x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
         numbers = " ".join(repr(float(v) + 0.0) for v in (w, x, y, z, *pose.translation))
-        lines += [f"{number} {numbers} {image.camera} {image.name}", ""]
+        lines.append(f"{number} {numbers} {image.camera} {image.name}")
+        lines.append(" ".join(features[number - 1]))
+    return "\n".join(lines) + "\n"
+
+
+def format_points(points: SparsePoints, colour: tuple[int, int, int] = (128, 128, 128)) -> str:
+    """Write ``points3D.txt`` for the same points as :func:`format_images`."""
+    place = np.empty(len(points.image), dtype=np.int64)  # of an observation among its image's
+    order = np.argsort(points.image, kind="stable")
+    first = np.searchsorted(points.image[order], points.image[order])
+    place[order] = np.arange(len(order)) - first
+    track = [f"{i + 1} {k}" for i, k in zip(points.image.tolist(), place.tolist(), strict=True)]
+    red, green, blue = colour
+    lines = ["# POINT3D_ID X Y Z R G B ERROR TRACK[] (IMAGE_ID POINT2D_IDX)"]
+    for number, (x, y, z) in enumerate(points.position.tolist()):
+        seen = " ".join(track[points.start[number] : points.start[number + 1]])
+        error = float(points.error_px[number])
+        lines.append(f"{number + 1} {x!r} {y!r} {z!r} {red} {green} {blue} {error!r} {seen}")
     return "\n".join(lines) + "\n"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from gvpipe.config import Config
+from gvpipe.core.correlation import shared_errors
 from gvpipe.core.ground import plane_normal
 from gvpipe.core.pose import yaw_tilt_roll
 from gvpipe.core.relative_pose import (
@@ -36,16 +37,16 @@ def run(context: Context) -> Outcome[LocalizeBody, None]:
     match = context.artefact(MatchBody)
     points = match.arrays("match.npz")
     entries = {entry.image_id: entry for entry in context.dataset.entries}
-    motions = tuple(
-        _motion(
-            row,
-            entries[row.image_i],
-            entries[row.image_j],
-            points[f"{k}/points_i"],
-            points[f"{k}/points_j"],
-        )
+    matched = [
+        (row, points[f"{k}/points_i"], points[f"{k}/points_j"])
         for k, row in enumerate(match.body.pairs)
         if row.status == "ok"
+    ]
+    # one pair says little about it, and all come from the same matcher
+    shared = shared_errors((np.asarray(row.H), p, q) for row, p, q in matched)
+    motions = tuple(
+        _motion(row, entries[row.image_i], entries[row.image_j], p, q, shared)
+        for row, p, q in matched
     )
     summary = tuple(
         (f"{m.image_i} - {m.image_j}", f"{m.distance_m:.3f} m, turned {m.yaw_deg:.1f}°")
@@ -64,7 +65,12 @@ def write(outcome: Outcome[LocalizeBody, None], folder: Path) -> None:
 
 
 def _motion(
-    row: PairRow, entry_i: ImageEntry, entry_j: ImageEntry, points_i: Float, points_j: Float
+    row: PairRow,
+    entry_i: ImageEntry,
+    entry_j: ImageEntry,
+    points_i: Float,
+    points_j: Float,
+    shared: float,
 ) -> MotionRow:
     """Estimate one pair's motion both ways."""
     motion = ground_motion(np.asarray(row.H), entry_i.camera, entry_j.camera)
@@ -75,7 +81,7 @@ def _motion(
         image_i=row.image_i,
         image_j=row.image_j,
         geometric=_fields(closed_form(motion, height), height),
-        covariance=covariance,
+        covariance=shared * covariance,
         **_fields(best, height).model_dump(),
     )
 

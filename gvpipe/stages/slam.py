@@ -12,8 +12,7 @@ from gvpipe.core.loops import gap_candidates, loop_candidates
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
 from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
-from gvpipe.formats.location_graph import GraphEdge, GraphNode, draw
-from gvpipe.formats.tum import format_tum
+from gvpipe.errors import InputError
 from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import (
     Body,
@@ -27,6 +26,8 @@ from gvpipe.records import (
     UnregisteredRow,
 )
 from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.slam_control import control_points, control_rows, control_summary
+from gvpipe.stages.slam_files import SlamEvidence, write_files
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
@@ -50,53 +51,30 @@ def needs(config: Config) -> tuple[type[Body], ...]:
     return () if known else (MatchBody, OverlapBody)
 
 
-def run(context: Context) -> Outcome[SlamBody, Dataset]:
+def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
     """Build the map from matches, or take the known poses."""
     dataset = context.dataset
-    body = _mapped(context) if needs(context.config) else _known(dataset)
+    if needs(context.config):
+        body, evidence = _mapped(context)
+    else:
+        body, evidence = _known(dataset), SlamEvidence(dataset)
     registered = len(body.poses)
     summary = (
         ("registered", f"{registered} of {len(dataset.entries)} images"),
         ("maps", str(body.components)),
         ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected"),
+        *(control_summary(body)),
         *((f"not on a map: {row.image}", row.reason) for row in body.unregistered[:5]),
     )
     why = "no image could be linked to another" if registered < 2 else None
     if len(dataset.entries) == 1 and registered == 1:
         why = None
-    return Outcome(body, dataset, no_result=why, summary=summary)
+    return Outcome(body, evidence, no_result=why, summary=summary)
 
 
-def write(outcome: Outcome[SlamBody, Dataset], folder: Path) -> None:
-    """Write one trajectory a robot, and the drawn location graph."""
-    poses = {row.image: Pose(row.R, row.t) for row in outcome.body.poses}
-    for robot, entries in outcome.payload.robots.items():
-        stamped = [
-            (float(k), poses[entry.image_id])
-            for k, entry in enumerate(entries)
-            if entry.image_id in poses
-        ]
-        (folder / f"{robot}.tum").write_text(format_tum(stamped), encoding="utf-8")
-    if outcome.body.poses:
-        (folder / "location_graph.svg").write_text(_drawn(outcome.body), encoding="utf-8")
-
-
-def _drawn(body: SlamBody) -> str:
-    """Draw the location graph."""
-    nodes = [
-        GraphNode(
-            image=row.image,
-            robot=row.robot,
-            label=row.robot + Path(row.image).stem,
-            component=row.component,
-            x=row.x,
-            y=row.y,
-            yaw=float(np.radians(row.yaw_deg)),
-            covariance=row.covariance[3:5, 3:5],
-        )
-        for row in body.poses
-    ]
-    return draw(nodes, [GraphEdge(row.image_i, row.image_j, row.kind) for row in body.edges])
+def write(outcome: Outcome[SlamBody, SlamEvidence], folder: Path) -> None:
+    """Write the map in the formats of other programs, and the drawn location graph."""
+    write_files(outcome.body, outcome.payload, folder)
 
 
 def _known(dataset: Dataset) -> SlamBody:
@@ -108,7 +86,7 @@ def _known(dataset: Dataset) -> SlamBody:
     return SlamBody(reference=None, poses=rows, edges=(), components=1, unregistered=())
 
 
-def _mapped(context: Context) -> SlamBody:
+def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     """Adjust all cameras over the plane; look for more links where the map shows common ground."""
     entries = {entry.image_id: entry for entry in context.dataset.entries}
     reference = context.config.slam.reference or next(iter(entries))
@@ -116,7 +94,7 @@ def _mapped(context: Context) -> SlamBody:
     mounts = {image: entry.mount for image, entry in entries.items()}
 
     def adjusted() -> MapResult:
-        return build_map(cameras, mounts, list(entries), links, reference, options)
+        return build_map(cameras, mounts, list(entries), links, reference, options, control)
 
     settings = context.config.slam
     options = MapOptions(
@@ -125,6 +103,7 @@ def _mapped(context: Context) -> SlamBody:
         scale_sigma=settings.scale_sigma,
         height_sigma=settings.height_sigma,
     )
+    control = control_points(context.config, context.dataset)
     links = [*_matched(context), *_overlapping(context)]
     result = adjusted()
     tried = _tried(context)
@@ -136,7 +115,12 @@ def _mapped(context: Context) -> SlamBody:
             break
         links += found
         result = adjusted()
-    return _body(reference, entries, links, result)
+    if settings.control and not any(ground.fixed for ground in result.ground):
+        raise InputError("slam.control: no map shows two different points of it")
+    kept = tuple(link for link, x in zip(links, result.links, strict=True) if x.kept)
+    evidence = SlamEvidence(context.dataset, kept, result.ground)
+    body = _body(reference, entries, links, result)
+    return body.model_copy(update={"control": control_rows(control, cameras, result)}), evidence
 
 
 def _tried(context: Context) -> set[tuple[str, str]]:
