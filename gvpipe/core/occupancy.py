@@ -15,8 +15,16 @@ MIN_OBSTACLE = 0.03
 """Width of the smallest obstacle, metres: narrower evidence is the edge of a texture."""
 
 
+def margin(resolution: float) -> int:
+    """Cells around a part of a map that decide on it: the width of the smallest obstacle."""
+    return max(1, round(MIN_OBSTACLE / resolution))
+
+
 def occupancy(
-    seen: NDArray[np.bool_], log_odds: NDArray[np.float32], resolution: float
+    seen: NDArray[np.bool_],
+    log_odds: NDArray[np.float32],
+    resolution: float,
+    rows_around: int = 0,
 ) -> NDArray[np.int8]:
     """State of every cell.
 
@@ -24,10 +32,13 @@ def occupancy(
     ----------
     seen : (H, W) bool
         Where any view saw ground.
-    log_odds : (H, W) float32
+    log_odds : (H + 2 rows_around, W) float32
         Evidence of an obstacle, positive = occupied, 0 = none.
     resolution : float
         Metres per cell.
+    rows_around : int
+        Rows of evidence above and below the map's; :func:`margin` of them make the parts of a
+        map those of the whole.
 
     Returns
     -------
@@ -35,12 +46,20 @@ def occupancy(
         ``OCCUPIED`` where the evidence says so over a patch of at least 3 cm, ``FREE`` where
         ground was seen and nothing speaks against it, ``UNKNOWN`` elsewhere.
     """
-    side = max(1, round(MIN_OBSTACLE / resolution))
+    side = margin(resolution)
     patch = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    strong = (seen & (log_odds >= OCCUPIED_LOG_ODDS)).astype(np.uint8)
-    occupied = cv2.morphologyEx(strong, cv2.MORPH_OPEN, patch).astype(np.bool_)
-    free = seen & (log_odds <= 0)
+    strong = (log_odds >= OCCUPIED_LOG_ODDS).astype(np.uint8)
+    rows = slice(rows_around, rows_around + len(seen))
+    opened = cv2.morphologyEx(strong, cv2.MORPH_OPEN, patch)[rows]
+    occupied = seen & opened.astype(np.bool_)
+    free = seen & (log_odds[rows] <= 0)
     return np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
+
+
+def probability_steps(log_odds: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Probability of an obstacle in steps of 1/254, (H, W) uint8; 255 = unseen."""
+    probability = 1.0 / (1.0 + np.exp(-log_odds))
+    return np.where(seen, np.rint(254 * probability), 255).astype(np.uint8)
 
 
 def draw_footprints(

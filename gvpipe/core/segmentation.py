@@ -74,7 +74,9 @@ def without_specks(region: Single, smallest: int) -> Single:
     cleaned = region.copy()
     for value in (0.0, 1.0):
         part = (cleaned > 0.5) == (value == 0.0)
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(part.astype(np.uint8), connectivity=4)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(
+            part.astype(np.uint8), connectivity=4
+        )
         small = stats[:, cv2.CC_STAT_AREA] < smallest
         small[0] = False
         cleaned[small[labels]] = value
