@@ -11,6 +11,11 @@ OCCUPIED_LOG_ODDS = 1.0
 """Evidence from which a cell counts as occupied, probability 0.73: more than one direction of
 view contradicts the others."""
 
+FREE_LOG_ODDS = -0.85
+"""Evidence from which a cell counts as free, probability 0.3: two directions of view agree on it,
+or one shows a colour that is common on ground that several agree on. What one direction alone
+shows may be the side of an obstacle, drawn out over ground that nobody has seen."""
+
 MIN_OBSTACLE = 0.03
 """Width of the smallest obstacle, metres: narrower evidence is the edge of a texture."""
 
@@ -44,7 +49,7 @@ def occupancy(
     -------
     cells : (H, W) int8
         ``OCCUPIED`` where the evidence says so over a patch of at least 3 cm, ``FREE`` where
-        ground was seen and nothing speaks against it, ``UNKNOWN`` elsewhere.
+        the evidence says that bare ground was seen, ``UNKNOWN`` elsewhere.
     """
     side = margin(resolution)
     patch = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
@@ -52,7 +57,7 @@ def occupancy(
     rows = slice(rows_around, rows_around + len(seen))
     opened = cv2.morphologyEx(strong, cv2.MORPH_OPEN, patch)[rows]
     occupied = seen & opened.astype(np.bool_)
-    free = seen & (log_odds[rows] <= 0)
+    free = seen & (log_odds[rows] <= FREE_LOG_ODDS)
     return np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
 
 

@@ -315,9 +315,14 @@ class _Surveyor:
             return look, clean[inner].astype(np.uint8), np.zeros(clean[inner].shape[:2], np.float32)
         colours, weights, support = self._vote(look, exposure)
         seen = look.radii >= 0
-        support += COLOUR_WEIGHT * likelihood[colour_bins(colours)]
-        kernels.agree(colours, look.radii, _smooth(support, seen), LIKE, FIT, clean)
-        odds = 2 * LOG_ODDS * (weights * (0.5 - clean)).sum(axis=2)
+        known = likelihood[colour_bins(colours)]
+        support = _smooth(support + COLOUR_WEIGHT * known, seen)
+        kernels.agree(colours, look.radii, support, LIKE, FIT, clean)
+        # one direction alone cannot tell ground from the side of an obstacle; its colour helps
+        best = np.where(seen, support, -np.inf).argmax(axis=2)[..., None]
+        colour = np.take_along_axis(known, best, axis=2)[..., 0]
+        odds = LOG_ODDS * ((weights * (1.0 - 2.0 * clean)).sum(axis=2) - COLOUR_WEIGHT * colour)
+        odds[~seen.any(axis=2)] = 0.0
         rounded = np.rint(255 * clean[inner]).astype(np.uint8)
         return look, rounded, odds[inner].astype(np.float32)
 
