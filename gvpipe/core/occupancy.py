@@ -58,13 +58,21 @@ def occupancy(
     opened = cv2.morphologyEx(strong, cv2.MORPH_OPEN, patch)[rows]
     occupied = seen & opened.astype(np.bool_)
     free = seen & (log_odds[rows] <= FREE_LOG_ODDS)
-    return np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.int8)
+    cells = np.full(seen.shape, UNKNOWN, np.int8)
+    cells[free] = FREE
+    cells[occupied] = OCCUPIED
+    return cells
 
 
 def probability_steps(log_odds: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Probability of an obstacle in steps of 1/254, (H, W) uint8; 255 = unseen."""
-    probability = 1.0 / (1.0 + np.exp(-log_odds))
-    return np.where(seen, np.rint(254 * probability), 255).astype(np.uint8)
+    steps = np.negative(log_odds)
+    np.exp(steps, out=steps)
+    steps += 1
+    np.divide(254, steps, out=steps)
+    values = np.rint(steps, out=steps).astype(np.uint8)
+    values[~seen] = 255
+    return values
 
 
 def draw_footprints(

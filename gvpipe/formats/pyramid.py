@@ -119,12 +119,16 @@ def _read_tile(page: tifffile.TiffPage, index: int) -> NDArray[np.uint8]:
 
 
 def _half(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Mean colours of two by two pixels, of those that are there."""
-    blocks = rgba.reshape(len(rgba) // 2, 2, rgba.shape[1] // 2, 2, 4)
-    there = blocks[..., 3:] > 0
-    count = there.sum(axis=(1, 3))
-    total = (blocks[..., :3] * there).sum(axis=(1, 3), dtype=np.uint16)
+    """Average two by two pixels, of those that are there."""
+    total = np.zeros((len(rgba) // 2, rgba.shape[1] // 2, 3), np.uint16)
+    count = np.zeros((*total.shape[:2], 1), np.uint16)
+    for v in (0, 1):
+        for u in (0, 1):
+            part = rgba[v::2, u::2]
+            there = part[..., 3:] >> 7
+            total += part[..., :3] * there
+            count += there
     out = np.zeros((*count.shape[:2], 4), np.uint8)
     out[..., :3] = (total + count // 2) // np.maximum(count, 1)
-    out[..., 3] = np.where(count[..., 0] > 0, 255, 0)
+    out[..., 3:] = (count > 0) * np.uint8(255)
     return out
