@@ -4,6 +4,7 @@ A key is added by adding one line here; loading, checking, printing and hashing 
 """
 # ruff: noqa: E501  one key a line, however long, keeps the whole table on one screen
 
+import warnings
 from math import cos, radians, sin
 from pathlib import Path
 from typing import Annotated, Literal
@@ -119,11 +120,16 @@ class MatchConfig(Section):
     features: Literal["sift", "invariants"] = Field("sift", description="what is matched between overhead views")
 
 
-class OverlapConfig(Section):
-    """Which images of different robots show the same ground."""
+with warnings.catch_warnings():
+    # pydantic's own deprecated method `validate` makes room for the key of that name
+    warnings.filterwarnings("ignore", message='Field name "validate"', category=UserWarning)
 
-    distance: Literal["absolute", "squared", "intersection", "chi2"] = Field("intersection", description="distance between colour histograms")
-    threshold: float = Field(0.2, gt=0, le=2, description="a candidate's histogram distance is below this")
+    class OverlapConfig(Section):
+        """Which images of different robots show the same ground."""
+
+        distance: Literal["absolute", "squared", "intersection", "chi2"] = Field("intersection", description="distance between colour histograms")
+        threshold: float = Field(0.2, gt=0, le=2, description="a candidate's histogram distance is below this")
+        validate: Literal["first", "all"] = Field("all", description="all = every candidate by a homography, first = best first, until the robots are joined")  # type: ignore[assignment]
 
 
 class ControlConfig(Section):

@@ -256,8 +256,20 @@ class SlamBody(Body):
     unregistered: tuple[UnregisteredRow, ...]
 
 
+class MosaicPart(Record):
+    """The overhead map of one component; `suffix` ends the names of its files."""
+
+    component: int
+    suffix: str
+    map_from_pixel: Matrix3
+    width: int
+    height: int
+    images: tuple[str, ...]
+    coverage_m2: float
+
+
 class MosaicBody(Body):
-    """The overhead map."""
+    """The overhead map of the main component; `components` lists it and the others."""
 
     stage: ClassVar[str] = "mosaic"
     file: ClassVar[str] = "mosaic.json"
@@ -269,6 +281,8 @@ class MosaicBody(Body):
     height: int
     images: tuple[str, ...]
     coverage_m2: float
+    components: tuple[MosaicPart, ...] = ()
+    error_levels_per_step: float = 0.125
 
 
 class ObstacleRow(Record):

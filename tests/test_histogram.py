@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gvpipe.core.candidates import candidate_pairs
+from gvpipe.core.candidates import candidate_pairs, shortlist
 from gvpipe.core.histogram import (
     BINS,
     DISTANCES,
@@ -105,12 +105,21 @@ def test_bins_are_the_two_leading_bits_of_each_channel():
 
 def test_only_seen_ground_is_counted():
     """A black surround or the sky above the horizon would add a black or a blue bin."""
-    pixels = np.full((120, 160, 3), (200, 100, 50), np.uint8)
+    pixels = np.full((120, 160, 3), (210, 80, 40), np.uint8)
     pixels[:4] = (0, 0, 255)  # far beyond the range at a low tilt
     view = View("A/0", pixels, CAMERA, Mount(tilt=np.radians(20), roll=0.0, height=0.6))
     h = ground_histogram(view)
     assert h[16 * 3 + 4 * 1 + 0] == pytest.approx(1.0)
     assert h.sum() == pytest.approx(1.0)
+
+
+def test_histogram_does_not_change_with_the_exposure():
+    rng = np.random.default_rng(3)
+    floor = rng.uniform(20, 110, (120, 160, 3))
+    views = [View("A/0", (gain * floor).astype(np.uint8), CAMERA, MOUNT) for gain in (0.5, 1, 2)]
+    dark, plain, bright = ground_histograms(views)
+    assert np.abs(dark - plain).sum() < 0.05
+    assert np.abs(bright - plain).sum() < 0.05
 
 
 def test_histogram_does_not_change_with_the_height_unit_or_the_tilt():
@@ -135,3 +144,15 @@ def test_candidates_are_the_local_minima_best_first():
     assert [c.distance for c in candidate_pairs(d, 0.13)] == [0.1, 0.12]
     assert candidate_pairs(d, 0.1) == []
     assert candidate_pairs(np.empty((0, 3)), 1.0) == []
+
+
+def test_shortlist_holds_the_nearest_of_every_image():
+    rng = np.random.default_rng(4)
+    h, g = rng.dirichlet(np.full(64, 0.3), 70), rng.dirichlet(np.full(64, 0.3), 50)
+    d = DISTANCES["absolute"](h, g)
+    i, j, distances = shortlist(h, g, DISTANCES["absolute"], 3, block=16)
+    wanted = {(a, b) for a in range(70) for b in np.argsort(d[a])[:3]}
+    wanted |= {(a, b) for b in range(50) for a in np.argsort(d[:, b])[:3]}
+    assert set(zip(i.tolist(), j.tolist(), strict=True)) == wanted
+    np.testing.assert_allclose(distances, d[i, j])
+    assert list(zip(i, j, strict=True)) == sorted(zip(i, j, strict=True))

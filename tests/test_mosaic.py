@@ -1,5 +1,6 @@
 """The mosaic against a painted floor seen by known cameras."""
 
+import io
 import struct
 import zlib
 
@@ -10,11 +11,11 @@ import pytest
 from gvpipe.core.blend import BLENDS, Samples
 from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.homography import apply, local_jacobian
-from gvpipe.core.mosaic import compose, compose_tiles
+from gvpipe.core.mosaic import BAND, Composition, compose
 from gvpipe.core.pose import planar_pose
 from gvpipe.core.raster import MosaicRaster, max_depth, outline, plan_raster
 from gvpipe.core.types import Camera, Mount, PosedView
-from gvpipe.formats.raster import png_bytes, png_chunks, read_world_file, world_file
+from gvpipe.formats.raster import PngWriter, png_bytes, read_world_file, world_file
 
 CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)
 RESOLUTION = 0.01
@@ -106,13 +107,23 @@ def test_tiles_leave_no_trace(ring, name):
     assert np.abs(part.rgba.astype(int) - whole.rgba[30:, 50:]).max() <= 1
 
 
-def test_tiles_cover_the_raster_once(ring):
-    raster = plan_raster(ring, RESOLUTION)
-    hits = np.zeros((raster.height, raster.width), int)
-    for tile in compose_tiles(ring, raster, BLENDS["best"], jobs=2):
-        h, w = tile.views.shape
-        hits[tile.row : tile.row + h, tile.column : tile.column + w] += 1
-    assert (hits == 1).all()
+def test_bands_follow_each_other(ring):
+    raster = plan_raster(ring, RESOLUTION / 4)
+    bands = list(Composition(ring, raster, BLENDS["best"], jobs=2).bands())
+    assert len(bands) > 1
+    assert [band.row for band in bands] == list(range(0, raster.height, BAND))
+    assert sum(len(band.rgba) for band in bands) == raster.height
+    whole = compose(ring, raster, BLENDS["best"])
+    np.testing.assert_array_equal(np.concatenate([b.rgba for b in bands]), whole.rgba)
+    np.testing.assert_array_equal(np.concatenate([b.error for b in bands]), whole.error)
+    np.testing.assert_array_equal(whole.error == 255, whole.views == 0)
+
+
+def test_many_views_that_agree_leave_less_doubt(ring):
+    mosaic = compose(ring, plan_raster(ring, RESOLUTION), BLENDS["robust"])
+    one, many = mosaic.error[mosaic.views == 1], mosaic.error[mosaic.views >= 5]
+    assert set(one) == {80}  # ten grey levels, in eighths
+    assert np.percentile(many, 90) < 40
 
 
 @pytest.mark.parametrize("name", ["robust", "half"])
@@ -151,7 +162,8 @@ def test_half_is_the_printed_rule():
         room = Samples.empty(1, 1, n)
         count = np.full((1, 1), n, np.int16)
         kernel = BLENDS["half"].kernel
-        kernel(samples.copy(), density.copy(), room.clean, room.light, count, rgba)
+        error = np.zeros((1, 1), np.uint8)
+        kernel(samples.copy(), density.copy(), room.clean, room.light, count, rgba, error)
         np.testing.assert_allclose(rgba[0, 0, :3], expected, atol=0.51)
 
 
@@ -219,8 +231,12 @@ def test_png_of_strips_decodes_to_the_picture():
     rng = np.random.default_rng(1)
     for channels in (1, 3, 4):
         pixels = rng.integers(0, 256, (37, 23, channels), dtype=np.uint8)
-        strips = (pixels[k : k + 10] for k in range(0, 37, 10))
-        data = b"".join(png_chunks(23, 37, channels, strips))
+        stream = io.BytesIO()
+        writer = PngWriter(stream, 23, 37, channels)
+        for k in range(0, 37, 10):
+            writer.write(pixels[k : k + 10])
+        writer.close()
+        data = stream.getvalue()
         decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         decoded = decoded.reshape(37, 23, channels)
         order = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]
@@ -229,10 +245,12 @@ def test_png_of_strips_decodes_to_the_picture():
 
 
 def test_png_refuses_strips_that_do_not_fit():
-    with pytest.raises(ValueError, match="rows"):
-        b"".join(png_chunks(4, 9, 3, [np.zeros((8, 4, 3), np.uint8)]))
+    writer = PngWriter(io.BytesIO(), 4, 9, 3)
     with pytest.raises(ValueError, match="strip"):
-        b"".join(png_chunks(4, 9, 3, [np.zeros((9, 5, 3), np.uint8)]))
+        writer.write(np.zeros((9, 5, 3), np.uint8))
+    writer.write(np.zeros((8, 4, 3), np.uint8))
+    with pytest.raises(ValueError, match="rows"):
+        writer.close()
     assert zlib.crc32(b"IEND") == 0xAE426082  # the checksum every PNG ends with
     assert png_bytes(np.zeros((1, 1, 3), np.uint8)).endswith(b"IEND\xaeB`\x82")
 

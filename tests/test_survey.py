@@ -1,7 +1,6 @@
 """The survey: exposure, vignetting and obstacles of known views of a painted floor."""
 
 import numpy as np
-import pytest
 
 from gvpipe.core.blend import BLENDS
 from gvpipe.core.exposure import balance
@@ -9,7 +8,7 @@ from gvpipe.core.ground import pixel_from_plane
 from gvpipe.core.homography import apply
 from gvpipe.core.mosaic import compose
 from gvpipe.core.pose import planar_pose
-from gvpipe.core.raster import plan_raster
+from gvpipe.core.raster import Picture, plan_raster
 from gvpipe.core.survey import survey
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
 
@@ -147,13 +146,22 @@ def test_survey_of_views_that_share_nothing():
     np.testing.assert_array_equal(found.exposure.log_gain, [0.0, 0.0])
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
-def test_survey_does_not_depend_on_the_cache(monkeypatch, jobs):
+def test_survey_reads_each_picture_once_and_does_not_depend_on_threads():
     views = ring([0.05, 0.0, -0.05])
     raster = plan_raster(views, RESOLUTION)
-    kept = survey(views, raster, jobs)
-    monkeypatch.setattr("gvpipe.core.survey.CACHE_BYTES", 0)
-    again = survey(views, raster, jobs)
-    np.testing.assert_array_equal(kept.log_odds, again.log_odds)
-    for a, b in zip(kept.clean, again.clean, strict=True):
+    reads = []
+
+    def lazily(view: PosedView) -> Picture:
+        def read() -> np.ndarray:
+            reads.append(view.image_id)
+            return view.pixels
+
+        return Picture(view.camera, view.map_from_camera, read)
+
+    one = survey([lazily(v) for v in views], raster)
+    assert set(reads) == {v.image_id for v in views}
+    assert len(reads) <= 2 * len(views)  # once for the border, once for the cells, in one go
+    three = survey(views, raster, jobs=3)
+    np.testing.assert_array_equal(one.log_odds, three.log_odds)
+    for a, b in zip(one.clean, three.clean, strict=True):
         np.testing.assert_array_equal(a.weights, b.weights)

@@ -57,12 +57,15 @@ class Blend:
     Attributes
     ----------
     kernel : callable
-        Fills ``rgba`` (h, w, 4) uint8 from the arrays of :class:`Samples`, which it may reorder.
+        Fills ``rgba`` (h, w, 4) and ``error`` (h, w) uint8 from the arrays of :class:`Samples`,
+        which it may reorder.
     surveys : bool
-        Whether it wants the views surveyed for obstacles and exposure first.
+        Whether samples are weighed and balanced by the survey of obstacles and exposures.
     """
 
-    kernel: Callable[[Single, Single, Single, Single, Counts, NDArray[np.uint8]], None]
+    kernel: Callable[
+        [Single, Single, Single, Single, Counts, NDArray[np.uint8], NDArray[np.uint8]], None
+    ]
     surveys: bool
 
 

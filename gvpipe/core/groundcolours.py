@@ -24,11 +24,11 @@ class GroundColours:
     ----------
     side : int
         Rows and columns between neighbouring tiles.
-    tallies : dict of (row, column) to (2, m) int64
+    tallies : dict of (row, column) to (2, m) int32
         Colour bins that occur in each tile, and how often.
     """
 
-    def __init__(self, side: int, tallies: dict[tuple[int, int], NDArray[np.int64]]) -> None:
+    def __init__(self, side: int, tallies: dict[tuple[int, int], NDArray[np.int32]]) -> None:
         self.side, self.tallies = side, tallies
         self.whole = _share(list(tallies.values()))
 
@@ -41,7 +41,7 @@ class GroundColours:
         return np.log(share * share.size + FLOOR_LIKELIHOOD).astype(np.float32)
 
 
-def _share(tallies: list[NDArray[np.int64]]) -> Float:
+def _share(tallies: list[NDArray[np.int32]]) -> Float:
     """Share of each colour bin in some tallies, blurred a little; all 0 if they are empty."""
     counts = np.zeros(COLOUR_BINS**3)
     for bins, occurrences in tallies:

@@ -20,6 +20,10 @@ RANGE_HEIGHTS = 4.0
 """Ground farther than this many camera heights is left out: seen at less than 15 degrees, one
 image row covers more ground than an obstacle, and the far field of two views seldom coincides."""
 
+MEDIAN_LEVEL = 112.0
+"""Grey level that the median of the ground is brought to, so that exposure does not count: near
+the edge between two bins (128), where the spread of the ground is told from its brightness."""
+
 ROW_BLOCK, COLUMN_BLOCK = 256, 2048
 """Histograms in one kernel call: a block of the second set (0.5 MB) stays in the cache."""
 
@@ -38,14 +42,25 @@ def ground_histogram(view: View) -> Float:
     Returns
     -------
     histogram : (64,) float64
-        Shares of the valid overhead pixels, sum 1; all zero if the camera sees no ground.
+        Shares of the valid overhead pixels, sum 1, all brightened alike so that their median is
+        the same in every view; all zero if the camera sees no ground.
     """
     scale = PIXELS_PER_HEIGHT / view.mount.height
     try:
         grid = overhead_grid(view.camera, view.mount, scale, RANGE_HEIGHTS * view.mount.height)
     except ValueError:  # looks above the horizon
         return np.zeros(BINS)
-    return colour_histogram(*overhead_view(view.pixels, view.camera, view.mount, grid))
+    pixels, seen = overhead_view(view.pixels, view.camera, view.mount, grid)
+    return colour_histogram(_exposed(pixels, seen), seen)
+
+
+def _exposed(pixels: Image, seen: NDArray[np.bool_]) -> Image:
+    """Brighten or darken a picture to the common median."""
+    if not seen.any():
+        return pixels
+    median = float(np.median(pixels[seen].mean(axis=1, dtype=np.float32)))
+    levels = np.arange(256) * (MEDIAN_LEVEL / max(median, 1.0))
+    return np.rint(levels).clip(0, 255).astype(np.uint8)[pixels]
 
 
 def colour_histogram(pixels: Image, seen: NDArray[np.bool_]) -> Float:

@@ -1,7 +1,8 @@
 """The raster of an overhead map, and the views laid on it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from gvpipe.core.ground import footprint, pixel_from_plane
 from gvpipe.core.kernels.mosaic import black_border
 from gvpipe.core.pose import mount_of, yaw_tilt_roll
-from gvpipe.core.types import Float, PosedView
+from gvpipe.core.types import Camera, Float, Image, Pose, PosedView
 
 MAX_GRAZING = 6.0
 """Depth limit in camera heights: ground seen under less than about 10 degrees, where one image
@@ -61,7 +62,59 @@ class MosaicRaster:
         )
 
 
-def max_depth(view: PosedView, resolution: float) -> float:
+class Posed(Protocol):
+    """A camera with its place in the map."""
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics."""
+
+    @property
+    def map_from_camera(self) -> Pose:
+        """Camera to map, metres."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A posed picture whose pixels are read when they are needed, not kept.
+
+    Attributes
+    ----------
+    camera : Camera
+        Intrinsics of the undistorted pixels.
+    map_from_camera : Pose
+        Camera to map, metres.
+    read : callable
+        Gives the (H, W, 3) uint8 pixels; quick when called again soon.
+    inside : (H, W) bool or None
+        Where the pixels come from the photograph, not from its continued border; None = all.
+    """
+
+    camera: Camera
+    map_from_camera: Pose
+    read: Callable[[], Image]
+    inside: NDArray[np.bool_] | None = None
+
+    @classmethod
+    def of(cls, view: "PosedView | Picture") -> "Picture":
+        """Wrap a view that is in memory."""
+        if isinstance(view, Picture):
+            return view
+        return cls(view.camera, view.map_from_camera, lambda: view.pixels)
+
+    def border(self) -> "Border":
+        """First and last pixel of each row and column that show something."""
+        pixels = self.read()
+        if self.inside is not None:
+            pixels = pixels * self.inside[..., None]
+        return black_border(pixels)
+
+
+Border = tuple[NDArray[np.int32], NDArray[np.int32]]
+"""First and last pixel of each row (H, 2) and column (W, 2) inside a picture's black border."""
+
+
+def max_depth(view: Posed, resolution: float) -> float:
     """How deep along the optical axis a view's ground is worth using, metres.
 
     Notes
@@ -74,7 +127,7 @@ def max_depth(view: PosedView, resolution: float) -> float:
     return float(min(MAX_GRAZING * height, np.sqrt(MAX_COARSENESS * resolution * focal * height)))
 
 
-def outline(view: PosedView, resolution: float) -> Float:
+def outline(view: Posed, resolution: float) -> Float:
     """Outline in the map of the usable ground of a view, (N, 2) metres; empty if there is none."""
     mount = mount_of(view.map_from_camera)
     if mount.height <= 0:
@@ -88,12 +141,12 @@ def outline(view: PosedView, resolution: float) -> Float:
     return points @ np.array([[c, s], [-s, c]]) + view.map_from_camera.translation[:2]
 
 
-def plan_raster(views: Sequence[PosedView], resolution: float) -> MosaicRaster:
+def plan_raster(views: Sequence[Posed], resolution: float) -> MosaicRaster:
     """Smallest raster that holds the usable ground of all views.
 
     Parameters
     ----------
-    views : sequence of PosedView
+    views : sequence of Posed
         Cameras in the map.
     resolution : float
         Metres per pixel.
@@ -133,39 +186,36 @@ def plan_raster(views: Sequence[PosedView], resolution: float) -> MosaicRaster:
 
 @dataclass(frozen=True)
 class PlacedView:
-    """A view laid on a raster.
+    """A picture laid on a raster.
 
     Attributes
     ----------
-    view : PosedView
-        The view.
+    view : Picture
+        The picture.
     pixel_from_raster : (3, 3) float64
         Raster pixels to image pixels; the third component is the depth, metres.
     max_depth : float
         Ground deeper than this is not used, metres.
     box : (u_min, v_min, u_max, v_max)
         Raster pixels outside of which the view shows nothing.
-    rows, columns : (H, 2), (W, 2) int32
-        First and last image pixel of each row and column inside the image's black border.
+    border : Border
+        Of the picture.
     """
 
-    view: PosedView
+    view: Picture
     pixel_from_raster: Float
     max_depth: float
     box: tuple[float, float, float, float]
-    rows: NDArray[np.int32]
-    columns: NDArray[np.int32]
-
-    def touches(self, column: int, row: int, width: int, height: int) -> bool:
-        """Whether the view may show something of a rectangle of the raster."""
-        u_min, v_min, u_max, v_max = self.box
-        return bool(
-            u_min < column + width and u_max >= column and v_min < row + height and v_max >= row
-        )
+    border: Border
 
 
-def place(view: PosedView, raster: MosaicRaster, depth: float) -> PlacedView | None:
-    """Lay a view on a raster, down to a depth in metres; None if it shows no ground of it."""
+def place(
+    view: Picture, raster: MosaicRaster, depth: float, border: Border | None = None
+) -> PlacedView | None:
+    """Lay a picture on a raster, down to a depth in metres; None if it shows no ground of it.
+
+    Its pixels are read only if the border is not given.
+    """
     points = outline(view, raster.resolution)
     if not len(points):
         return None
@@ -177,5 +227,30 @@ def place(view: PosedView, raster: MosaicRaster, depth: float) -> PlacedView | N
         depth,
         # half a pixel more on every side: a pixel's samples may lie beside its centre
         (float(u.min()) - 0.5, float(v.min()) - 0.5, float(u.max()) + 0.5, float(v.max()) + 0.5),
-        *black_border(view.pixels),
+        view.border() if border is None else border,
     )
+
+
+class PlacedIndex:
+    """Which of many placed views may show something of a rectangle.
+
+    Parameters
+    ----------
+    placed : sequence of PlacedView or None
+        On the same raster.
+    """
+
+    def __init__(self, placed: Sequence[PlacedView | None]) -> None:
+        nowhere = (np.inf, np.inf, -np.inf, -np.inf)
+        boxes = [nowhere if p is None else p.box for p in placed]
+        self._boxes = np.array(boxes).reshape(-1, 4)
+
+    def touching(self, column: int, row: int, width: int, height: int) -> NDArray[np.intp]:
+        """Positions in the sequence, in its order."""
+        b = self._boxes
+        return np.flatnonzero(
+            (b[:, 0] < column + width)
+            & (b[:, 2] >= column)
+            & (b[:, 1] < row + height)
+            & (b[:, 3] >= row)
+        )

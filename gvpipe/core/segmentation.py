@@ -55,12 +55,11 @@ def segment(gain: Single, picture: Image, strength: float) -> Single:
         half = (width // 2, height // 2)
         # four pixels of gain become one, two of outline: the balance doubles
         coarse = segment(
-            2 * cv2.resize(gain, half, interpolation=cv2.INTER_AREA).astype(np.float32),
+            2 * cv2.resize(gain, half, interpolation=cv2.INTER_AREA),
             cv2.resize(picture, half, interpolation=cv2.INTER_AREA).astype(np.uint8),
             strength,
         )
-        finer = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-        start = finer.astype(np.float32)
+        start = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
         iterations //= 3
     weight_x, weight_y = _outline_cost(picture, strength)
     return cut(gain, weight_x, weight_y, iterations, np.ascontiguousarray(start, np.float32))
@@ -75,8 +74,9 @@ def without_specks(region: Single, smallest: int) -> Single:
     cleaned = region.copy()
     for value in (0.0, 1.0):
         part = (cleaned > 0.5) == (value == 0.0)
-        marked = part.astype(np.uint8)
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(marked, connectivity=4)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(
+            part.astype(np.uint8), connectivity=4
+        )
         small = stats[:, cv2.CC_STAT_AREA] < smallest
         small[0] = False
         cleaned[small[labels]] = value

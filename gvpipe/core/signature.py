@@ -183,17 +183,27 @@ def expected_overlaps(of_i: Sequence[Signature], of_j: Sequence[Signature]) -> F
     Returns
     -------
     expected : (n, m) float64
+        Of :func:`expected_overlap`.
+    """
+    return np.array([[expected_overlap(i, j) for j in of_j] for i in of_i]).reshape(
+        len(of_i), len(of_j)
+    )
+
+
+def expected_overlap(i: Signature, j: Signature) -> float:
+    """Guess how much ground two views share.
+
+    Returns
+    -------
+    expected : float
         Share of common ground under the motion most spots agree on, less where few do; 0 where
         too few agree to believe in any.
     """
-    out = np.zeros((len(of_i), len(of_j)))
-    for row, i in enumerate(of_i):
-        for column, j in enumerate(of_j):
-            found = agreement(i, j)
-            if found.votes >= MIN_VOTES:
-                belief = found.votes / (found.votes + DOUBT_VOTES)
-                out[row, column] = belief * common_ground(i, j, found.j_from_i)
-    return out
+    found = agreement(i, j)
+    if found.votes < MIN_VOTES:
+        return 0.0
+    belief = found.votes / (found.votes + DOUBT_VOTES)
+    return belief * common_ground(i, j, found.j_from_i)
 
 
 def common_ground(i: Signature, j: Signature, j_from_i: Float) -> float:

@@ -7,7 +7,6 @@ is on ground that views from several sides agree on.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -18,7 +17,16 @@ from gvpipe.core.cleanmap import CleanMap
 from gvpipe.core.exposure import Exposure, balance
 from gvpipe.core.groundcolours import GroundColours, colour_bins
 from gvpipe.core.kernels import survey as kernels
-from gvpipe.core.raster import MosaicRaster, max_depth, place
+from gvpipe.core.raster import (
+    Border,
+    MosaicRaster,
+    Picture,
+    PlacedIndex,
+    PlacedView,
+    max_depth,
+    place,
+)
+from gvpipe.core.tiles import in_order
 from gvpipe.core.types import Float, PosedView
 
 CELLS_PER_HEIGHT = 25.0
@@ -50,9 +58,6 @@ SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
 MAX_SPOTS = 60_000
 """Spots in the estimate of exposures: some hundred for each of hundreds of views."""
 
-CACHE_BYTES = 60_000_000
-"""Cells kept between the passes; what is beyond is sampled again."""
-
 LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
 
@@ -73,15 +78,32 @@ class Survey:
         Brightness of the views.
     clean : tuple of CleanMap
         One of each view.
-    log_odds : (H, W) float32
+    borders : tuple of Border
+        Of the pictures.
+    log_odds : (H, W) float16
         Evidence of an obstacle in each cell, negative = free ground.
+    covered_m2 : float
+        Area of the cells that any view sees.
     """
 
     factor: int
     raster: MosaicRaster
     exposure: Exposure
     clean: tuple[CleanMap, ...]
-    log_odds: Single
+    borders: tuple[Border, ...]
+    log_odds: NDArray[np.float16]
+    covered_m2: float
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """All cells of one view: colours (h, w, 3) and radii (h, w), -1 = not seen."""
+
+    column: int
+    row: int
+    colours: NDArray[np.uint8]
+    radii: NDArray[np.float16]
+    border: Border
 
 
 @dataclass(frozen=True)
@@ -95,13 +117,13 @@ class _Look:
     radii: Single
 
 
-def survey(views: Sequence[PosedView], raster: MosaicRaster, jobs: int = 1) -> Survey:
+def survey(views: Sequence[PosedView | Picture], raster: MosaicRaster, jobs: int = 1) -> Survey:
     """Look at all views in coarse cells.
 
     Parameters
     ----------
-    views : sequence of PosedView
-        Pictures with their poses in the map.
+    views : sequence of PosedView or Picture
+        Pictures with their poses in the map; each is read once.
     raster : MosaicRaster
         The mosaic to be composed.
     jobs : int
@@ -113,84 +135,109 @@ def survey(views: Sequence[PosedView], raster: MosaicRaster, jobs: int = 1) -> S
     """
     height = float(np.median([v.map_from_camera.translation[2] for v in views]))
     factor = max(1, round(height / CELLS_PER_HEIGHT / raster.resolution))
-    return _Surveyor(views, raster, factor, jobs).run()
+    return _Surveyor([Picture.of(v) for v in views], raster, factor, jobs).run()
 
 
 class _Surveyor:
     """The passes over the tiles, with the cells they share."""
 
     def __init__(
-        self, views: Sequence[PosedView], raster: MosaicRaster, factor: int, jobs: int
+        self, views: Sequence[Picture], raster: MosaicRaster, factor: int, jobs: int
     ) -> None:
         self.views, self.factor, self.jobs = views, factor, jobs
         self.cells = raster.coarser(factor)
-        self.placed = [place(v, self.cells, max_depth(v, raster.resolution)) for v in views]
+        self.depths = [max_depth(v, raster.resolution) for v in views]
         self.cameras = np.array([v.map_from_camera.translation for v in views])
-        self.cache: dict[tuple[int, int], _Look] = {}
-        self.room = CACHE_BYTES
-        self.tiles = [
+        seen = list(in_order(self._sight, range(len(views)), jobs))
+        self.sights = [sight for _, sight in seen]
+        self.placed = [placed for placed, _ in seen]
+        self.index = PlacedIndex(self.placed)
+        corners = [
             (row, column)
             for row in range(0, self.cells.height, TILE)
             for column in range(0, self.cells.width, TILE)
         ]
+        self.tiles = [c for c in corners if len(self._touching(c))]
 
     def run(self) -> Survey:
-        with ThreadPoolExecutor(max_workers=max(self.jobs, 1)) as threads:
-            exposure = self._balance([s for s in threads.map(self._spots, self.tiles) if len(s)])
-            tallies = threads.map(lambda t: self._tally(t, exposure), self.tiles)
-            known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
-            maps = [CleanMap.blank(p, self.cells) for p in self.placed]
-            evidence = np.zeros((self.cells.height, self.cells.width), np.float32)
-            for tile, (look, clean, odds) in zip(
-                self.tiles,
-                threads.map(lambda t: self._judge(t, exposure, known.around(t)), self.tiles),
-                strict=True,
-            ):
-                evidence[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE] = odds
-                for k, weights in zip(look.views, np.moveaxis(clean, 2, 0), strict=True):
-                    maps[k].paste(tile, weights)
-        return Survey(self.factor, self.cells, exposure, tuple(maps), evidence)
+        spots = in_order(self._spots, self.tiles, self.jobs)
+        exposure = self._balance([s for s in spots if len(s)])
+        tallies = in_order(lambda t: self._tally(t, exposure), self.tiles, self.jobs)
+        known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
+        maps = [CleanMap.blank(p, self.cells) for p in self.placed]
+        evidence = np.zeros((self.cells.height, self.cells.width), np.float16)
+        covered = 0
+        judged = in_order(
+            lambda t: self._judge(t, exposure, known.around(t)), self.tiles, self.jobs
+        )
+        for tile, (look, clean, odds) in zip(self.tiles, judged, strict=True):
+            evidence[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE] = odds
+            inner = look.radii[MARGIN:-MARGIN, MARGIN:-MARGIN]
+            covered += int((inner >= 0).any(axis=2).sum())
+            for k, weights in zip(look.views, np.moveaxis(clean, 2, 0), strict=True):
+                maps[k].paste(tile, weights)
+        return Survey(
+            self.factor,
+            self.cells,
+            exposure,
+            tuple(maps),
+            tuple(s.border for s in self.sights),
+            evidence,
+            covered * self.cells.resolution**2,
+        )
 
-    def _look(self, tile: tuple[int, int]) -> _Look:
-        """Sample the cells of a tile and its margin in all views."""
-        if (kept := self.cache.get(tile)) is not None:
-            return kept
-        row, column = tile[0] - MARGIN, tile[1] - MARGIN
+    def _sight(self, k: int) -> tuple[PlacedView | None, _Sight]:
+        """Sample all cells of a view: the only time that its picture is read."""
+        view = self.views[k]
+        border = view.border()
+        p = place(view, self.cells, self.depths[k], border)
+        if p is None:
+            nothing = np.zeros((0, 0, 3), np.uint8)
+            return p, _Sight(0, 0, nothing, np.zeros((0, 0), np.float16), border)
+        column, row = int(np.floor(p.box[0])), int(np.floor(p.box[1]))
+        shape = (int(np.ceil(p.box[3])) - row + 1, int(np.ceil(p.box[2])) - column + 1)
+        colours, radii = np.zeros((*shape, 3), np.float32), np.empty(shape, np.float32)
+        kernels.cell_colours(
+            view.read(),
+            *border,
+            p.pixel_from_raster @ _shift(column, row),
+            p.max_depth,
+            np.array([view.camera.cx, view.camera.cy]),
+            view.camera.width / 2,
+            colours,
+            radii,
+        )
+        # a tenth of the memory of the pictures: the tiles are made of these three times
+        rounded = np.rint(colours).astype(np.uint8)
+        return p, _Sight(column, row, rounded, radii.astype(np.float16), border)
+
+    def _window(self, tile: tuple[int, int]) -> tuple[int, int, int, int]:
+        """First column and row, width and height of a tile with its margin."""
         height = min(TILE, self.cells.height - tile[0]) + 2 * MARGIN
         width = min(TILE, self.cells.width - tile[1]) + 2 * MARGIN
-        seen = [
-            (k, p)
-            for k, p in enumerate(self.placed)
-            if p is not None and p.touches(column, row, width, height)
-        ]
-        colours = np.zeros((len(seen), height, width, 3), np.float32)
-        radii = np.empty((len(seen), height, width), np.float32)
-        shift = np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
-        for n, (_, p) in enumerate(seen):
-            camera = p.view.camera
-            kernels.cell_colours(
-                p.view.pixels,
-                p.rows,
-                p.columns,
-                p.pixel_from_raster @ shift,
-                p.max_depth,
-                np.array([camera.cx, camera.cy]),
-                camera.width / 2,
-                colours[n],
-                radii[n],
-            )
-        look = _Look(
-            column,
-            row,
-            np.array([k for k, _ in seen], dtype=np.intp),
-            np.ascontiguousarray(np.moveaxis(colours, 0, 2)),
-            np.ascontiguousarray(np.moveaxis(radii, 0, 2)),
-        )
-        size = look.colours.nbytes + look.radii.nbytes
-        if size <= self.room:
-            self.room -= size
-            self.cache[tile] = look
-        return look
+        return tile[1] - MARGIN, tile[0] - MARGIN, width, height
+
+    def _touching(self, tile: tuple[int, int]) -> NDArray[np.intp]:
+        return self.index.touching(*self._window(tile))
+
+    def _look(self, tile: tuple[int, int]) -> _Look:
+        """Gather the cells of a tile and its margin from all views."""
+        column, row, width, height = self._window(tile)
+        views = self._touching(tile)
+        colours = np.zeros((height, width, len(views), 3), np.float32)
+        radii = np.full((height, width, len(views)), -1.0, np.float32)
+        for n, k in enumerate(views):
+            sight = self.sights[k]
+            h, w = sight.radii.shape
+            top, left = max(row, sight.row), max(column, sight.column)
+            bottom, right = min(row + height, sight.row + h), min(column + width, sight.column + w)
+            if top < bottom and left < right:
+                here = np.s_[top - row : bottom - row, left - column : right - column, n]
+                there = np.s_[
+                    top - sight.row : bottom - sight.row, left - sight.column : right - sight.column
+                ]
+                colours[here], radii[here] = sight.colours[there], sight.radii[there]
+        return _Look(column, row, views, colours, radii)
 
     def _spots(self, tile: tuple[int, int]) -> Float:
         """Cells seen by successive views: (N, 5) of views i and j, log ratio, radii in i and j."""
@@ -243,18 +290,19 @@ class _Surveyor:
         )
         return colours, weights, support
 
-    def _tally(self, tile: tuple[int, int], exposure: Exposure) -> NDArray[np.int64]:
+    def _tally(self, tile: tuple[int, int], exposure: Exposure) -> NDArray[np.int32]:
         """Colour bins of a tile's sure ground and how often each occurs, (2, m)."""
         look = self._look(tile)
         if not len(look.views):
-            return np.empty((2, 0), np.int64)
+            return np.empty((2, 0), np.int32)
         colours, weights, support = self._vote(look, exposure)
         best = support.argmax(axis=2)[..., None]
         agreed = np.take_along_axis(support, best, axis=2)[..., 0]
         total = weights.sum(axis=2)
         sure = (agreed > SURE_SHARE * total) & (total > SURE_WEIGHT)
         bins = colour_bins(np.take_along_axis(colours, best[..., None], axis=2)[sure, 0])
-        return np.array(np.unique(bins, return_counts=True))
+        found, occurrences = np.unique(bins, return_counts=True)
+        return np.array([found, occurrences], dtype=np.int32)
 
     def _judge(
         self, tile: tuple[int, int], exposure: Exposure, likelihood: Single
@@ -267,11 +315,21 @@ class _Surveyor:
             return look, clean[inner].astype(np.uint8), np.zeros(clean[inner].shape[:2], np.float32)
         colours, weights, support = self._vote(look, exposure)
         seen = look.radii >= 0
-        support += COLOUR_WEIGHT * likelihood[colour_bins(colours)]
-        kernels.agree(colours, look.radii, _smooth(support, seen), LIKE, FIT, clean)
-        odds = 2 * LOG_ODDS * (weights * (0.5 - clean)).sum(axis=2)
+        known = likelihood[colour_bins(colours)]
+        support = _smooth(support + COLOUR_WEIGHT * known, seen)
+        kernels.agree(colours, look.radii, support, LIKE, FIT, clean)
+        # one direction alone cannot tell ground from the side of an obstacle; its colour helps
+        best = np.where(seen, support, -np.inf).argmax(axis=2)[..., None]
+        colour = np.take_along_axis(known, best, axis=2)[..., 0]
+        odds = LOG_ODDS * ((weights * (1.0 - 2.0 * clean)).sum(axis=2) - COLOUR_WEIGHT * colour)
+        odds[~seen.any(axis=2)] = 0.0
         rounded = np.rint(255 * clean[inner]).astype(np.uint8)
         return look, rounded, odds[inner].astype(np.float32)
+
+
+def _shift(column: int, row: int) -> Float:
+    """Matrix from pixels of a part to those of the whole."""
+    return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
 
 
 def _smooth(values: Single, seen: NDArray[np.bool_]) -> Single:

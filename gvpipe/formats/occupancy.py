@@ -1,5 +1,7 @@
 """Occupancy maps of the ROS map_server: a PGM picture and a YAML file beside it."""
 
+import re
+
 import numpy as np
 import yaml
 from numpy.typing import NDArray
@@ -26,11 +28,39 @@ def pgm_bytes(cells: NDArray[np.int8]) -> bytes:
     pgm : bytes
         Binary PGM (P5), 8 bits.
     """
+    height, width = cells.shape
+    return pgm_header(width, height) + pgm_rows(cells)
+
+
+def pgm_header(width: int, height: int) -> bytes:
+    """Begin a PGM picture of a size; all its rows follow from top to bottom."""
+    return b"P5\n%d %d\n255\n" % (width, height)
+
+
+def pgm_rows(cells: NDArray[np.int8]) -> bytes:
+    """Encode some rows of an occupancy grid."""
     values = np.empty(cells.shape, np.uint8)
     for cell, value in PGM_VALUES.items():
         values[cells == cell] = value
-    height, width = cells.shape
-    return b"P5\n%d %d\n255\n" % (width, height) + values.tobytes()
+    return values.tobytes()
+
+
+def read_pgm(data: bytes) -> NDArray[np.int8]:
+    """Read a picture of :func:`pgm_bytes` back to its cells.
+
+    Raises
+    ------
+    ValueError
+        If it is not such a picture.
+    """
+    found = re.match(rb"P5\n(\d{1,6}) (\d{1,6})\n255\n", data)
+    if found is None or len(data) - found.end() != int(found[1]) * int(found[2]):
+        raise ValueError("not a binary 8-bit PGM picture")
+    values = np.frombuffer(data, np.uint8, offset=found.end())
+    cells = np.full(values.shape, UNKNOWN, np.int8)
+    for cell, value in PGM_VALUES.items():
+        cells[values == value] = cell
+    return cells.reshape(int(found[2]), int(found[1]))
 
 
 def yaml_text(image: str, resolution: float, x_min: float, y_min: float) -> str:

@@ -2,7 +2,8 @@
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from io import BytesIO
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ COMPRESSION = 3
 """zlib level: photographs hardly shrink any further at higher ones, which cost five times more."""
 COLOUR_TYPES = {1: 0, 3: 2, 4: 6}
 FILTER_UP = 2
+ROWS_AT_ONCE = 64
+"""Rows filtered and packed together: a few megabytes of a wide picture."""
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
@@ -19,59 +22,74 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def png_chunks(
-    width: int, height: int, channels: int, strips: Iterable[NDArray[np.uint8]]
-) -> Iterator[bytes]:
-    """Encode an 8-bit picture that is never in memory as a whole.
+class PngWriter:
+    """An 8-bit PNG picture that is never in memory as a whole.
 
     Parameters
     ----------
+    stream : writable binary file
+        Where the picture goes; it is not closed.
     width, height : int
         Size, pixels.
     channels : {1, 3, 4}
         Grey, RGB or RGBA.
-    strips : iterable of (h, width, channels) uint8
-        The rows from top to bottom in pieces of any height.
-
-    Yields
-    ------
-    chunk : bytes
-        To be written one after the other.
-
-    Raises
-    ------
-    ValueError
-        If a strip does not fit or the rows do not add up to the height.
     """
-    header = struct.pack(">IIBBBBB", width, height, 8, COLOUR_TYPES[channels], 0, 0, 0)
-    yield SIGNATURE + _chunk(b"IHDR", header)
-    packer = zlib.compressobj(COMPRESSION)
-    above = np.zeros((1, width * channels), np.uint8)
-    rows = 0
-    for strip in strips:
-        if strip.ndim != 3 or strip.shape[1:] != (width, channels):
-            raise ValueError(
-                f"a strip of {strip.shape} in a picture of {(height, width, channels)}"
-            )
+
+    def __init__(self, stream: IO[bytes], width: int, height: int, channels: int) -> None:
+        self._stream, self._size = stream, (height, width, channels)
+        self._packer = zlib.compressobj(COMPRESSION)
+        self._above = np.zeros((1, width * channels), np.uint8)
+        self._rows = 0
+        header = struct.pack(">IIBBBBB", width, height, 8, COLOUR_TYPES[channels], 0, 0, 0)
+        stream.write(SIGNATURE + _chunk(b"IHDR", header))
+
+    def write(self, strip: NDArray[np.uint8]) -> None:
+        """Append rows, (h, width, channels) uint8, or (h, width) if there is one channel.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit.
+        """
+        _, width, channels = self._size
+        if strip.shape[1:] not in ((width, channels), (width,) if channels == 1 else ()):
+            raise ValueError(f"a strip of {strip.shape} in a picture of {self._size}")
         flat = strip.reshape(len(strip), -1)
-        rows += len(flat)
-        coded = np.empty((len(flat), 1 + width * channels), np.uint8)
+        for start in range(0, len(flat), ROWS_AT_ONCE):
+            self._pack(flat[start : start + ROWS_AT_ONCE])
+
+    def _pack(self, flat: NDArray[np.uint8]) -> None:
+        self._rows += len(flat)
+        coded = np.empty((len(flat), 1 + flat.shape[1]), np.uint8)
         coded[:, 0] = FILTER_UP
         # modulo 256, as the format has it
-        np.subtract(flat, np.concatenate([above, flat[:-1]]), out=coded[:, 1:])
-        above = flat[-1:].copy() if len(flat) else above
-        if data := packer.compress(coded.tobytes()):
-            yield _chunk(b"IDAT", data)
-    if rows != height:
-        raise ValueError(f"{rows} rows were given of {height}")
-    yield _chunk(b"IDAT", packer.flush())
-    yield _chunk(b"IEND", b"")
+        np.subtract(flat[:1], self._above, out=coded[:1, 1:])
+        np.subtract(flat[1:], flat[:-1], out=coded[1:, 1:])
+        self._above = flat[-1:].copy()
+        if data := self._packer.compress(coded.data):
+            self._stream.write(_chunk(b"IDAT", data))
+
+    def close(self) -> None:
+        """Finish the picture.
+
+        Raises
+        ------
+        ValueError
+            If rows are missing, or there are too many.
+        """
+        if self._rows != self._size[0]:
+            raise ValueError(f"{self._rows} rows were given of {self._size[0]}")
+        self._stream.write(_chunk(b"IDAT", self._packer.flush()) + _chunk(b"IEND", b""))
 
 
 def png_bytes(pixels: NDArray[np.uint8]) -> bytes:
     """Encode an (H, W, C) uint8 picture, C = 1, 3 or 4, as PNG."""
     height, width, channels = pixels.shape
-    return b"".join(png_chunks(width, height, channels, [pixels]))
+    stream = BytesIO()
+    writer = PngWriter(stream, width, height, channels)
+    writer.write(pixels)
+    writer.close()
+    return stream.getvalue()
 
 
 def world_file(map_from_pixel: NDArray[np.float64]) -> str:

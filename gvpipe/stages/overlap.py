@@ -1,6 +1,6 @@
 """Pictures of different robots that show the same ground: by histograms, then by homography."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
-from gvpipe.core.candidates import Candidate, candidate_pairs
+from gvpipe.core.candidates import Candidate, candidates_among, shortlist
 from gvpipe.core.histogram import BINS, DISTANCES, ground_histogram
-from gvpipe.core.signature import Signature, common_ground, expected_overlaps, ground_signature
+from gvpipe.core.signature import Signature, common_ground, expected_overlap, ground_signature
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
+from gvpipe.formats.plots import curves_svg, heat_map
+from gvpipe.formats.raster import png_bytes
 from gvpipe.pairing import match_pairs, options_from
 from gvpipe.parallel import Crashed, Workers
 from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow
@@ -27,6 +29,21 @@ BODY = OverlapBody
 
 MIN_COMMON_GROUND = 0.08
 """Share of either picture's ground that both must see for an overlap to count."""
+
+MAX_SPOT_PAIRS = 20_000
+"""Pairs of pictures whose spots are compared, about a minute: of more, those with the nearest
+histograms."""
+
+MAX_MATRIX = 4_000_000
+"""Entries of a distance matrix up to which it is kept and drawn: 2,000 by 2,000 pictures."""
+
+BATCH = 8
+"""Candidates validated before looking again whether their robots are joined."""
+
+ENOUGH = 3
+"""Validated pairs that join two robots: one alone may be chance."""
+
+NOT_TRIED = "not tried: the robots are joined already"
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -41,12 +58,29 @@ class _Look:
 
 @dataclass(frozen=True)
 class _Meeting:
-    """Candidates between two robots."""
+    """Candidates between two robots; the distances are empty if their matrices are too large."""
 
     robots: tuple[str, str]
+    images: tuple[list[str], list[str]]
     distances: Arrays
     candidates: list[Candidate]
     pairs: list[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is written beside the JSON.
+
+    Attributes
+    ----------
+    arrays : dict of str to array
+        Of `overlap.npz`.
+    figures : dict of str to bytes
+        Diagrams by file name.
+    """
+
+    arrays: Arrays
+    figures: dict[str, bytes]
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:
@@ -54,7 +88,7 @@ def needs(config: Config) -> tuple[type[Body], ...]:
     return ()
 
 
-def run(context: Context) -> Outcome[OverlapBody, Arrays]:
+def run(context: Context) -> Outcome[OverlapBody, Findings]:
     """Rank pairs of pictures by histogram distance, validate the likely ones."""
     config, dataset = context.config, context.dataset
     images = [entry.image_id for entry in dataset.entries]
@@ -70,30 +104,21 @@ def run(context: Context) -> Outcome[OverlapBody, Arrays]:
             ticker.advance()
     histograms = np.array([looks[image].histogram for image in images]).reshape(-1, BINS)
     meetings = list(_meetings(config, dataset, looks))
-    pairs = [pair for meeting in meetings for pair in meeting.pairs]
-    steps = len({image for pair in pairs for image in pair}) + len(pairs)
-    with context.progress("validate", steps) as ticker:
-        verdicts = match_pairs(
-            dataset,
-            pairs,
-            options_from(config),
-            seed=config.seed,
-            jobs=context.jobs,
-            checkpoints=context.checkpoints,
-            on_step=ticker.advance,
-        )
-        found = [(meeting, [next(verdicts) for _ in meeting.pairs]) for meeting in meetings]
+    validate = _first if config.overlap.validate == "first" else _all
+    found = validate(context, meetings, looks)
     arrays: Arrays = {"histograms": histograms, "image_ids": np.array(images, dtype=np.str_)}
     overlaps = []
-    for meeting, results in found:
+    figures: dict[str, bytes] = {}
+    for meeting, results in zip(meetings, found, strict=True):
         name = "-".join(meeting.robots)
+        figures |= _figures(meeting, config.overlap.distance)
         arrays |= {f"{name}/{key}": matrix for key, matrix in meeting.distances.items()}
         for k, verdict in enumerate(results):
             if isinstance(verdict, PairMatch):
                 arrays[f"{name}/{k}/points_i"] = verdict.points_i
                 arrays[f"{name}/{k}/points_j"] = verdict.points_j
         candidates = tuple(
-            _row(pair, candidate.distance, _sharing(pair, verdict, looks))
+            _row(pair, candidate.distance, verdict)
             for pair, candidate, verdict in zip(
                 meeting.pairs, meeting.candidates, results, strict=True
             )
@@ -107,12 +132,15 @@ def run(context: Context) -> Outcome[OverlapBody, Arrays]:
         )
         for row in overlaps
     )
-    return Outcome(OverlapBody(overlaps=tuple(overlaps)), arrays, summary=summary)
+    body = OverlapBody(overlaps=tuple(overlaps))
+    return Outcome(body, Findings(arrays, figures), summary=summary)
 
 
-def write(outcome: Outcome[OverlapBody, Arrays], folder: Path) -> None:
-    """Write histograms, distance matrices and inlier pixels."""
-    write_npz(folder / "overlap.npz", outcome.payload)
+def write(outcome: Outcome[OverlapBody, Findings], folder: Path) -> None:
+    """Write histograms, distance matrices, inlier pixels and the diagrams."""
+    write_npz(folder / "overlap.npz", outcome.payload.arrays)
+    for name, data in outcome.payload.figures.items():
+        (folder / name).write_bytes(data)
 
 
 def _look(dataset: Dataset, image: str) -> _Look:
@@ -129,13 +157,107 @@ def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iter
         ids_b = [entry.image_id for entry in dataset.robots[b]]
         of_a = np.array([looks[i].histogram for i in ids_a]).reshape(-1, BINS)
         of_b = np.array([looks[i].histogram for i in ids_b]).reshape(-1, BINS)
-        distances = {name: distance(of_a, of_b) for name, distance in DISTANCES.items()}
-        expected = expected_overlaps(
-            [looks[i].signature for i in ids_a], [looks[i].signature for i in ids_b]
-        )
-        candidates = candidate_pairs(distances[settings.distance], settings.threshold, expected)
+        few = len(ids_a) * len(ids_b) <= MAX_MATRIX
+        distances = {name: d(of_a, of_b) for name, d in DISTANCES.items()} if few else {}
+        if len(ids_a) * len(ids_b) <= MAX_SPOT_PAIRS:
+            i, j = (grid.ravel() for grid in np.indices((len(ids_a), len(ids_b))))
+            near = distances[settings.distance].ravel()
+        else:
+            count = max(MAX_SPOT_PAIRS // (len(ids_a) + len(ids_b)), 1)
+            i, j, near = shortlist(of_a, of_b, DISTANCES[settings.distance], count)
+        signatures = [
+            (looks[ids_a[m]].signature, looks[ids_b[n]].signature)
+            for m, n in zip(i, j, strict=True)
+        ]
+        expected = np.array([expected_overlap(*pair) for pair in signatures])
+        candidates = candidates_among(i, j, near, settings.threshold, expected)
         pairs = [(ids_a[c.i], ids_b[c.j]) for c in candidates]
-        yield _Meeting((a, b), dict(distances), candidates, pairs)
+        yield _Meeting((a, b), (ids_a, ids_b), distances, candidates, pairs)
+
+
+def _match(
+    context: Context,
+    pairs: list[tuple[str, str]],
+    looks: dict[str, _Look],
+    on_step: Callable[[], object],
+) -> list[PairMatch | Rejected]:
+    """Give the verdicts on some pairs."""
+    config = context.config
+    verdicts = match_pairs(
+        context.dataset,
+        pairs,
+        options_from(config),
+        seed=config.seed,
+        jobs=context.jobs,
+        checkpoints=context.checkpoints,
+        on_step=on_step,
+    )
+    return [_sharing(p, verdict, looks) for p, verdict in zip(pairs, verdicts, strict=True)]
+
+
+def _all(
+    context: Context, meetings: list[_Meeting], looks: dict[str, _Look]
+) -> list[list[PairMatch | Rejected]]:
+    """Validate every candidate."""
+    pairs = [pair for meeting in meetings for pair in meeting.pairs]
+    steps = len({image for pair in pairs for image in pair}) + len(pairs)
+    with context.progress("validate", steps) as ticker:
+        verdicts = iter(_match(context, pairs, looks, ticker.advance))
+        return [[next(verdicts) for _ in meeting.pairs] for meeting in meetings]
+
+
+def _first(
+    context: Context, meetings: list[_Meeting], looks: dict[str, _Look]
+) -> list[list[PairMatch | Rejected]]:
+    """Validate best first, until every two robots are joined, be it by way of others."""
+    found: list[list[PairMatch | Rejected]] = [[] for _ in meetings]
+    total = sum(len(meeting.pairs) for meeting in meetings)
+    with context.progress("validate", total) as ticker:
+        while True:
+            joined = _joined(meetings, found)
+            open_ = [
+                k
+                for k, meeting in enumerate(meetings)
+                if len(found[k]) < len(meeting.pairs)
+                and joined[meeting.robots[0]] != joined[meeting.robots[1]]
+            ]
+            if not open_:
+                break
+            # all robots take turns, so that a chain of them is found before its ends are tried
+            batch = [meetings[k].pairs[len(found[k]) : len(found[k]) + BATCH] for k in open_]
+            verdicts = iter(_match(context, [p for b in batch for p in b], looks, lambda: None))
+            for k, part in zip(open_, batch, strict=True):
+                found[k] += [next(verdicts) for _ in part]
+                ticker.advance(len(part))
+    for meeting, results in zip(meetings, found, strict=True):
+        results += [Rejected(NOT_TRIED)] * (len(meeting.pairs) - len(results))
+    return found
+
+
+def _joined(meetings: list[_Meeting], found: list[list[PairMatch | Rejected]]) -> dict[str, str]:
+    """Name for each robot the group that validated pairs have joined it to."""
+    group = {robot: robot for meeting in meetings for robot in meeting.robots}
+    for meeting, results in zip(meetings, found, strict=True):
+        if sum(isinstance(verdict, PairMatch) for verdict in results) >= ENOUGH:
+            a, b = (group[robot] for robot in meeting.robots)
+            group = {robot: a if name == b else name for robot, name in group.items()}
+    return group
+
+
+def _figures(meeting: _Meeting, distance: str) -> dict[str, bytes]:
+    """Draw the distances of the first candidate's picture to all of the other robot's."""
+    if not meeting.distances or not meeting.distances[distance].size:
+        return {}
+    name = "-".join(meeting.robots)
+    row = meeting.candidates[0].i if meeting.candidates else 0
+    curves = {key: matrix[row] for key, matrix in meeting.distances.items()}
+    title = f"Histogram distance of {meeting.images[0][row]} to all images of {meeting.robots[1]}"
+    label = f"image of {meeting.robots[1]}; each curve relative to its largest value"
+    svg = curves_svg(title, label, meeting.images[1], curves)
+    return {
+        f"curves_{name}.svg": svg.encode(),
+        f"matrix_{name}.png": png_bytes(heat_map(meeting.distances[distance])),
+    }
 
 
 def _sharing(

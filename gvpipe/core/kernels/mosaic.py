@@ -22,6 +22,24 @@ COARSE_SHARE = 1.0 / 27.0
 """Samples are used down to this share of the highest density among the clean ones: at three times
 the depth a sample is nine times longer and only blurs."""
 
+PRIOR_VARIANCE = np.float32(100.0)
+"""Variance of one sample's brightness as good as known beforehand: 10 grey levels, grain and an
+error of a pixel; one view alone says nothing about it."""
+
+ERROR_STEPS = np.float32(8.0)
+"""Steps of the error layer in one grey level."""
+
+ERROR_LAST = np.float32(254.0)
+"""Largest step of the error layer; 255 = nothing was seen."""
+
+
+@kernel
+def error_steps(total: np.float32, squares: np.float32, n: int) -> int:
+    """Count the steps of the standard error of a mean, from the sum and squares of n samples."""
+    mean = total / np.float32(n)
+    scatter = max(squares - mean * total, np.float32(0.0)) + PRIOR_VARIANCE
+    return int(min(ERROR_STEPS * np.sqrt(scatter) / np.float32(n) + np.float32(0.5), ERROR_LAST))
+
 
 @kernel
 def black_border(
@@ -135,6 +153,7 @@ def blend_best(
     light: Single,
     count: NDArray[np.int16],
     rgba: NDArray[np.uint8],
+    error: NDArray[np.uint8],
 ) -> None:
     """Keep the sample with the highest density of each pixel; the first of equals."""
     for v in range(count.shape[0]):
@@ -147,6 +166,7 @@ def blend_best(
                 for c in range(3):
                     rgba[v, u, c] = np.uint8(colours[v, u, best, c] + np.float32(0.5))
                 rgba[v, u, 3] = 255
+                error[v, u] = error_steps(np.float32(0.0), np.float32(0.0), 1)
 
 
 @kernel
@@ -157,6 +177,7 @@ def blend_half(
     light: Single,
     count: NDArray[np.int16],
     rgba: NDArray[np.uint8],
+    error: NDArray[np.uint8],
 ) -> None:
     """Drop the sample farthest from the mean until ceil(n / 2) remain; average the rest.
 
@@ -195,6 +216,12 @@ def blend_half(
             rgba[v, u, 1] = np.uint8(max(g, np.float32(0.0)) * share + np.float32(0.5))
             rgba[v, u, 2] = np.uint8(max(b, np.float32(0.0)) * share + np.float32(0.5))
             rgba[v, u, 3] = 255
+            total, squares = np.float32(0.0), np.float32(0.0)
+            for k in range(n):
+                value = (p[k, 0] + p[k, 1] + p[k, 2]) / np.float32(3.0)
+                total += value
+                squares += value * value
+            error[v, u] = error_steps(total, squares, n)
 
 
 @kernel
@@ -205,6 +232,7 @@ def blend_robust(
     light: Single,
     count: NDArray[np.int16],
     rgba: NDArray[np.uint8],
+    error: NDArray[np.uint8],
 ) -> None:
     """Median of the clean samples of each pixel, in the mean light of all of them.
 
@@ -225,13 +253,18 @@ def blend_robust(
                 if clean[v, u, k] >= CLEAN_SHARE * cleanest:
                     finest = max(finest, density[v, u, k])
             p, m = colours[v, u], 0
+            total, squares = np.float32(0.0), np.float32(0.0)
             for k in range(n):
                 if clean[v, u, k] >= CLEAN_SHARE * cleanest and (
                     density[v, u, k] >= COARSE_SHARE * finest
                 ):
+                    value = (p[k, 0] + p[k, 1] + p[k, 2]) / np.float32(3.0)
+                    total += value
+                    squares += value * value
                     for c in range(3):
                         p[m, c] = p[k, c]
                     m += 1
+            error[v, u] = error_steps(total, squares, m)
             for c in range(3):
                 for k in range(1, m):
                     value, at = p[k, c], k
