@@ -61,7 +61,7 @@ $(DEV): pyproject.toml constraints.txt $(STAMP)
 	@touch $@
 
 test: $(DEV) ## run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile
 
 lint: $(DEV) ## check style and types
 	$(BIN)/ruff check .

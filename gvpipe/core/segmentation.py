@@ -55,11 +55,12 @@ def segment(gain: Single, picture: Image, strength: float) -> Single:
         half = (width // 2, height // 2)
         # four pixels of gain become one, two of outline: the balance doubles
         coarse = segment(
-            2 * cv2.resize(gain, half, interpolation=cv2.INTER_AREA),
+            2 * cv2.resize(gain, half, interpolation=cv2.INTER_AREA).astype(np.float32),
             cv2.resize(picture, half, interpolation=cv2.INTER_AREA).astype(np.uint8),
             strength,
         )
-        start = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+        finer = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+        start = finer.astype(np.float32)
         iterations //= 3
     weight_x, weight_y = _outline_cost(picture, strength)
     return cut(gain, weight_x, weight_y, iterations, np.ascontiguousarray(start, np.float32))

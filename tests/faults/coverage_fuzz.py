@@ -24,8 +24,8 @@ def main() -> None:
             try:
                 load_config(path)
             except GvpipeError as error:
-                assert error.exit_code in (2, 3, 4)
-                assert path.name in str(error)
+                if error.exit_code not in (2, 3, 4) or path.name not in str(error):
+                    raise RuntimeError("an error without its file or of the wrong kind") from error
 
         atheris.Setup(sys.argv, once)
         atheris.Fuzz()
