@@ -51,7 +51,7 @@ class EvidenceOptions:
 
     background: Literal["views", "mosaic"] = "views"
     colour_scale: float = 16.8
-    tolerances: tuple[float, ...] = (0.3, 0.15, 0.08)
+    tolerances: tuple[float, ...] = (0.12, 0.06)
     odds: float = 8.0
     outline: float = 1.5
     hidden_gain: float = 0.3

@@ -22,6 +22,9 @@ farther away."""
 CONTRAST = (0.6, 1.6)
 """Range of the ratio of contrasts that light and gloss can make between views."""
 
+GLOSS = 0.25
+"""Share of a squared difference towards white that counts."""
+
 GROUND_LIKE = 4.0
 """Difference, in units of the expected, up to which a pixel teaches the noise of the ground."""
 
@@ -39,7 +42,7 @@ class Features:
         Variance in the window that the background's texture, at any allowed contrast, does not
         explain, summed over the channels.
     shade : array of float32
-        Squared difference of the window's mean colours.
+        Squared difference of the window's mean colours, less towards white.
     contrast : array of float32
         Variance of the background in the window.
     own : array of float32
@@ -84,8 +87,7 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
     share: Single = np.maximum(_blur(inside, WINDOW), 1e-3)[..., None]
 
     def mean(values: Single) -> Single:
-        average: Single = _blur(np.where(known[..., None], values, 0), WINDOW) / share
-        return average
+        return np.asarray(_blur(np.where(known[..., None], values, 0), WINDOW) / share, np.float32)
 
     base_mean = mean(background)
     contrast = _variance(mean(background**2), base_mean)
@@ -102,7 +104,7 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
         left = variance - 2 * gain * common + gain**2 * contrast
         texture = np.minimum(texture, np.maximum(left, 0)).astype(np.float32)
         if not blur:
-            shade, own = ((image_mean - base_mean) ** 2).sum(axis=-1), variance
+            shade, own = _shade(image_mean - base_mean), variance
     return Features(texture, shade, contrast, own)
 
 
@@ -149,6 +151,13 @@ def learn_noise(samples: Sequence[Features]) -> GroundNoise:
         noise = GroundNoise(*_line(g.contrast, g.texture), *_line(g.contrast, g.shade))
         use = difference(f, noise)[0] < GROUND_LIKE
     return noise
+
+
+def _shade(off: Single) -> Single:
+    """Squared colour difference (H, W), less for what is whiter than expected: gloss adds white."""
+    grey = off.mean(axis=-1)
+    total = (off**2).sum(axis=-1)
+    return np.asarray(total - (1 - GLOSS) * 3 * np.maximum(grey, 0) ** 2, np.float32)
 
 
 def _line(x: Single, y: Single) -> tuple[float, float]:

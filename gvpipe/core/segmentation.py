@@ -63,7 +63,7 @@ def segment(gain: Single, picture: Image, strength: float) -> Single:
         start = finer.astype(np.float32)
         iterations //= 3
     weight_x, weight_y = _outline_cost(picture, strength)
-    return cut(gain, weight_x, weight_y, iterations, np.ascontiguousarray(start, np.float32))
+    return cut(gain, weight_x, weight_y, iterations, start)
 
 
 def without_specks(region: Single, smallest: int) -> Single:

@@ -12,7 +12,7 @@ Bytes = NDArray[np.uint8]
 LEAST_SHARPNESS = 0.05
 """Weight of a view that sees the ground far more coarsely than the view it is compared with."""
 
-HIDDEN_WEIGHT = 0.03
+HIDDEN_WEIGHT = 0.01
 """Weight of a view that an obstacle probably keeps from seeing the point."""
 
 
