@@ -58,7 +58,9 @@ def curves_svg(
         colour = COLOURS[k % len(COLOURS)]
         shares = np.asarray(values, dtype=np.float64) / max(float(values.max()), 1e-12)
         points = [(LEFT + x * across, floor - y * high) for x, y in enumerate(shares)]
-        path: Style = {"stroke": colour, "stroke-width": 1.5}
+        # curves may coincide: the one below shows through the gaps
+        dashes = "6 5" if k >= 2 else "none"
+        path: Style = {"stroke": colour, "stroke-width": 1.5, "stroke-dasharray": dashes}
         for start, end in pairwise(points):
             drawing.line(start, end, path)
         low = int(np.argmin(values))

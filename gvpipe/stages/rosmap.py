@@ -1,0 +1,69 @@
+"""The ROS map with reconstructed obstacles drawn into it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.artefacts import Artefact
+from gvpipe.core.hidden import Solid, with_obstacles
+from gvpipe.core.raster import MosaicRaster, Posed
+from gvpipe.errors import InputError
+from gvpipe.formats.occupancy import pgm_bytes, read_pgm, yaml_text
+from gvpipe.records import MosaicBody, ObstacleRow
+
+
+@dataclass(frozen=True)
+class RosMap:
+    """An occupancy grid and where it lies."""
+
+    cells: NDArray[np.int8]
+    raster: MosaicRaster
+
+
+def map_with_obstacles(
+    mosaic: Artefact[MosaicBody], obstacles: Sequence[ObstacleRow], views: Sequence[Posed]
+) -> RosMap:
+    """Read the mosaic's map and correct it by the obstacles.
+
+    Parameters
+    ----------
+    mosaic : Artefact
+        With its map.
+    obstacles : sequence of ObstacleRow
+        Footprints and heights.
+    views : sequence of Posed
+        All cameras of the main component.
+
+    Returns
+    -------
+    map : RosMap
+        Occupied under the obstacles, unknown where only their sides were seen.
+
+    Raises
+    ------
+    InputError
+        If the mosaic's map is damaged.
+    """
+    body, path = mosaic.body, mosaic.folder / "map.pgm"
+    try:
+        cells = read_pgm(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from None
+    if cells.shape != (body.height, body.width):
+        raise InputError(f"{path}: not the map that mosaic.json describes")
+    m = body.map_from_pixel
+    raster = MosaicRaster(body.width, body.height, body.resolution, float(m[0, 2]), float(m[1, 2]))
+    solids = [Solid(row.footprint, row.height_m) for row in obstacles]
+    return RosMap(with_obstacles(cells, solids, views, raster), raster)
+
+
+def write_ros_map(ros_map: RosMap, folder: Path) -> None:
+    """Write `map.pgm` and `map.yaml`."""
+    raster = ros_map.raster
+    y_min = raster.y_max - (raster.height - 1) * raster.resolution
+    (folder / "map.pgm").write_bytes(pgm_bytes(ros_map.cells))
+    yaml = yaml_text("map.pgm", raster.resolution, raster.x_min, y_min)
+    (folder / "map.yaml").write_text(yaml)
