@@ -173,6 +173,10 @@ MISTAKES = {
         MINIMAL + "match: {pairs: all}\n",
         "5:16: match.pairs: is 'all'; expected consecutive or exhaustive or a list",
     ),
+    "known point without a robot": (
+        MINIMAL + "slam: {control: [{image: C/1.jpg, pixel: [1, 2], map: [0, 0]}]}\n",
+        "slam.control.0.image: is 'C/1.jpg'; expected an image of a robot (known: A)",
+    ),
     "reference": (
         MINIMAL + "slam: {reference: 0.jpg}\n",
         "5:19: slam.reference: is '0.jpg'; expected robot/file name, for example A/0003.jpg",
@@ -408,3 +412,11 @@ def test_surrogates_in_the_folder_name_do_not_matter(tmp_path):
     shown = tmp_path / "shown.yaml"
     shown.write_text(show_config(config), encoding="utf-8")
     assert load_config(shown) == config
+
+
+def test_known_points_are_shown_as_they_load(write) -> None:  # type: ignore[no-untyped-def]
+    text = MINIMAL + "slam: {control: [{image: A/1.jpg, pixel: [1, 2.5], map: [-3, 4]}]}\n"
+    config = load_config(write(text))
+    [point] = config.slam.control
+    assert (point.image, point.pixel, point.map) == ("A/1.jpg", (1.0, 2.5), (-3.0, 4.0))
+    assert load_config(write(show_config(config))).slam == config.slam

@@ -5,7 +5,7 @@ import pytest
 
 from gvpipe.core.ground import pixel_from_ground, plane_normal
 from gvpipe.core.homography import apply, normalise
-from gvpipe.core.pose import planar_pose, rotation_vector
+from gvpipe.core.pose import mount_of, planar_pose, rotation_vector
 from gvpipe.core.relative_pose import (
     choose,
     closed_form,
@@ -17,6 +17,7 @@ from gvpipe.core.relative_pose import (
     tilt_and_roll,
 )
 from gvpipe.core.types import Camera, Float, Mount
+from tests.slam_scene import arc_path, make_scene
 
 CAMERA = Camera(640, 480, 520.0, 525.0, 318.0, 241.0)
 
@@ -221,3 +222,25 @@ def test_covariance_matches_the_scatter_of_repeated_estimates() -> None:
     ratio = scatter.std(axis=0) / np.sqrt(np.diag(covariance))
     assert (ratio > 0.7).all()
     assert (ratio < 1.4).all()
+
+
+def test_normalised_errors_of_motions_are_chi_squared() -> None:
+    # noise in both images, as real matches have it; the height is exact
+    squares = []
+    for seed in range(12):
+        scene = make_scene({"A": arc_path(5, bend=0.15)}, np.random.default_rng(seed))
+        for link in scene.links:
+            pose_i, pose_j = scene.poses[link.image_i], scene.poses[link.image_j]
+            camera_i, camera_j = scene.cameras[link.image_i], scene.cameras[link.image_j]
+            mount = mount_of(pose_i)
+            motion = ground_motion(link.homography, camera_i, camera_j)
+            found = choose(decompose(motion, mount.height), plane_normal(mount))
+            covariance = motion_covariance(
+                found, mount.height, camera_i, camera_j, link.points_i, link.points_j
+            )
+            true = pose_j.inverse() @ pose_i
+            turn = rotation_vector(true.rotation @ found.j_from_i.rotation.T)
+            error = np.append(turn, true.translation - found.j_from_i.translation)
+            squares.append(error @ np.linalg.solve(covariance, error) / 6)
+    assert len(squares) > 60
+    assert 0.8 < np.mean(squares) < 1.25

@@ -106,7 +106,12 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     control = control_points(context.config, context.dataset)
     links = [*_matched(context), *_overlapping(context)]
     result = adjusted()
-    tried = _tried(context)
+    # a pair whose link turned out wrong may be matched once more where that could bridge a gap
+    tried = _tried(context) - {
+        (link.image_i, link.image_j)
+        for link, judged in zip(links, result.links, strict=True)
+        if not judged.kept and judged.residual_m is None
+    }
     for _ in range(LOOP_ROUNDS if settings.loops else 0):
         pairs = _proposed(cameras, list(entries), result, tried)
         found = list(_searched(context, pairs))
