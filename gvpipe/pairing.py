@@ -8,8 +8,8 @@ import numpy as np
 
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
-from gvpipe.core.features import Features, MatchOptions
-from gvpipe.core.matching import extract, match_views
+from gvpipe.core.matching.features import Features, MatchOptions
+from gvpipe.core.matching.matchers import extract, match_views
 from gvpipe.core.types import PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.parallel import Crashed, Workers

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gvpipe.core.geometry.undistortion import Undistortion, undistort, undistortion
 from gvpipe.core.types import Camera, Image, Rejected
-from gvpipe.core.undistortion import Undistortion, undistort, undistortion
 from gvpipe.errors import InputError
 from gvpipe.formats.images import read_image
 from gvpipe.formats.video import VideoReader

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gvpipe.cli import run
-from gvpipe.core.pose import planar_pose
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.types import Mount, Pose
 from tests.synthetic import CAMERA, Box, Scene, texture
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply, fit_linear
-from gvpipe.core.links import Link, link_kind
-from gvpipe.core.pose import planar_pose
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply, fit_linear
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.slam.links import Link, link_kind
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 CAMERA = Camera(width=640, height=480, fx=550.0, fy=550.0, cx=321.0, cy=242.0)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import normalise
-from gvpipe.core.pose import mount_of, planar_pose
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import normalise
+from gvpipe.core.geometry.pose import mount_of, planar_pose
 from gvpipe.core.types import Camera, Float, Image, Mount, Pose, View
 
 CAMERA = Camera(width=320, height=240, fx=270.0, fy=270.0, cx=159.5, cy=119.5)

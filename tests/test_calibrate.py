@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from gvpipe.cli import run
-from gvpipe.core.board import Board, BoardView, calibrate_board, find_board
-from gvpipe.core.circular_points import metric_residuals, spanning_tree
-from gvpipe.core.common_plane import ground_pairs
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.plane_cameras import distort, ray_from_ground, undistort
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.raw_matching import PlanePair, match_planes, raw_features
-from gvpipe.core.self_calibration import SelfCalibration, self_calibrate
+from gvpipe.core.calibration.board import Board, BoardView, calibrate_board, find_board
+from gvpipe.core.calibration.circular_points import metric_residuals, spanning_tree
+from gvpipe.core.calibration.common_plane import ground_pairs
+from gvpipe.core.calibration.plane_cameras import distort, ray_from_ground, undistort
+from gvpipe.core.calibration.raw_matching import PlanePair, match_planes, raw_features
+from gvpipe.core.calibration.self_calibration import SelfCalibration, self_calibrate
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.types import Camera, Float, Image, Mount, Pose, Rejected
 from gvpipe.formats.calibration import Calibration, read_calibration
 from gvpipe.formats.calibration_writers import WRITERS

@@ -5,15 +5,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gvpipe.core.carving import (
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.reconstruct.carving import (
     Mask,
     level_set_of,
     space_carving,
     visual_hull,
     voxel_coloring,
 )
-from gvpipe.core.grid import VoxelGrid
-from gvpipe.core.pose import planar_pose
+from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.types import Camera, Mount, PosedView
 
 CENTRE, RADIUS = np.array([0.0, 0.0, 0.15]), 0.12

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gvpipe.checkpoint import Checkpoints
-from gvpipe.core.levelset import Evolution
+from gvpipe.core.reconstruct.levelset import Evolution
 from gvpipe.core.types import PairMatch, Rejected
 from gvpipe.errors import OutputError
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from gvpipe.config import AUTO_TILT_DEG
 from gvpipe.configfile import load_config
+from gvpipe.core.geometry.undistortion import undistort, undistortion
 from gvpipe.core.types import Camera
-from gvpipe.core.undistortion import undistort, undistortion
 from gvpipe.dataset import open_dataset
 from gvpipe.errors import ConfigError, InputError
 from gvpipe.filelist import list_files

@@ -10,10 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from gvpipe.cli import run
 from gvpipe.commands.trajectories import Trajectory, associate, read_trajectory
-from gvpipe.core.homography import apply, transfer_errors
-from gvpipe.core.mesh_error import Surface, sample_surface, surface_errors, volume_iou
-from gvpipe.core.solids import Solid
-from gvpipe.core.trajectory_error import (
+from gvpipe.core.evaluation.mesh_error import Surface, sample_surface, surface_errors, volume_iou
+from gvpipe.core.evaluation.trajectory_error import (
     ALIGNMENTS,
     Similarity,
     absolute_errors,
@@ -22,6 +20,8 @@ from gvpipe.core.trajectory_error import (
     relative_errors,
     statistics,
 )
+from gvpipe.core.geometry.homography import apply, transfer_errors
+from gvpipe.core.synthesis.solids import Solid
 from gvpipe.core.types import Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.calibration import Calibration

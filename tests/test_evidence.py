@@ -4,18 +4,23 @@ import cv2
 import numpy as np
 import pytest
 
-from gvpipe.core.background import GroundModel, GroundWitnesses, reduced, rendered_background
-from gvpipe.core.evidence import data_terms, find_regions, hull_probability
-from gvpipe.core.evidence_options import EvidenceOptions
-from gvpipe.core.grid import VoxelGrid
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.hull import down_to_ground, pixel_from_map, render_mask, standing
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.kernels.segmentation import cut
-from gvpipe.core.likeness import difference, features, learn_noise
-from gvpipe.core.photometry import levelled
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.segmentation import colour_gain, segment, without_specks
-from gvpipe.core.silhouette import silhouettes
+from gvpipe.core.reconstruct.background import (
+    GroundModel,
+    GroundWitnesses,
+    reduced,
+    rendered_background,
+)
+from gvpipe.core.reconstruct.evidence import data_terms, find_regions, hull_probability
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions
+from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.hull import down_to_ground, pixel_from_map, render_mask, standing
+from gvpipe.core.reconstruct.likeness import difference, features, learn_noise
+from gvpipe.core.reconstruct.photometry import levelled
+from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
+from gvpipe.core.reconstruct.silhouette import silhouettes
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
 from tests.synthetic import Box, Scene, texture
 

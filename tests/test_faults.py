@@ -26,7 +26,7 @@ from gvpipe import checkpoint, output
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.cli import run
 from gvpipe.configfile import load_config
-from gvpipe.core.pose import planar_pose
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.types import Mount
 from gvpipe.dataset import open_dataset
 from gvpipe.errors import UsageError

@@ -3,13 +3,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from gvpipe.core.correlation import shared_errors
-from gvpipe.core.ground_bundle import Problem
-from gvpipe.core.homography import apply
-from gvpipe.core.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.pose import robot_from_camera, rotation_vector
-from gvpipe.core.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled
-from gvpipe.core.tracks import chain_matches
+from gvpipe.core.geometry.homography import apply
+from gvpipe.core.geometry.pose import robot_from_camera, rotation_vector
+from gvpipe.core.slam.correlation import shared_errors
+from gvpipe.core.slam.ground_bundle import Problem
+from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
+from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled
+from gvpipe.core.slam.tracks import chain_matches
 from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from gvpipe.core.hidden import Solid, with_obstacles
-from gvpipe.core.occupancy import FREE, OCCUPIED, UNKNOWN
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.raster import MosaicRaster, Picture
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.mosaic.hidden import Solid, with_obstacles
+from gvpipe.core.mosaic.occupancy import FREE, OCCUPIED, UNKNOWN
+from gvpipe.core.mosaic.raster import MosaicRaster, Picture
 from gvpipe.core.types import Camera, Mount
 
 CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gvpipe.core.candidates import candidate_pairs, shortlist
-from gvpipe.core.histogram import (
+from gvpipe.core.overlap.candidates import candidate_pairs, shortlist
+from gvpipe.core.overlap.histogram import (
     BINS,
     DISTANCES,
     colour_histogram,

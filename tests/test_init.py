@@ -9,9 +9,9 @@ from PIL import Image as Pillow
 from gvpipe.cli import run
 from gvpipe.commands.photos import list_photos
 from gvpipe.configfile import load_config
-from gvpipe.core.camera_path import Stop, poses
-from gvpipe.core.scene import make_scene, photograph
-from gvpipe.core.texture import stone
+from gvpipe.core.synthesis.camera_path import Stop, poses
+from gvpipe.core.synthesis.scene import make_scene, photograph
+from gvpipe.core.synthesis.texture import stone
 from gvpipe.core.types import Camera, Mount
 from gvpipe.dataset import open_dataset
 from gvpipe.formats.jpeg import jpeg_bytes

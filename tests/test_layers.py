@@ -32,6 +32,15 @@ LAYERS: list[set[str]] = [
     {"gvpipe.__main__"},
 ]
 
+CORE_LAYERS = [
+    {"types"},
+    {"kernels"},
+    {"geometry"},
+    {"matching", "overlap", "mosaic", "reconstruct"},
+    {"slam", "calibration", "synthesis", "evaluation"},
+]
+"""Rooms of the core, lowest first; those of one row do not know each other."""
+
 
 def unit(module: str) -> str:
     """The layer unit a module belongs to: packages count as one."""
@@ -82,6 +91,25 @@ def test_imports_run_one_way() -> None:
             if want == have and unit(module) != unit(target) and unit(target) != "gvpipe":
                 upward.append(f"{module} imports its neighbour {target}")
     assert not upward
+
+
+def test_rooms_of_the_core_depend_one_way() -> None:
+    def room(name: str) -> tuple[str, int] | None:
+        parts = name.split(".")
+        if parts[:2] != ["gvpipe", "core"] or len(parts) < 3:
+            return None
+        found = [k for k, rooms in enumerate(CORE_LAYERS) if parts[2] in rooms]
+        assert found, f"say in CORE_LAYERS where {name} belongs"
+        return parts[2], found[0]
+
+    wrong = []
+    for module, path in modules().items():
+        here = room(module)
+        for target in imports_of(path):
+            there = room(target)
+            if here and there and there[0] != here[0] and there[1] >= here[1]:
+                wrong.append(f"{module} imports {target}")
+    assert not wrong
 
 
 def test_stages_do_not_import_each_other() -> None:

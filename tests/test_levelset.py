@@ -5,10 +5,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gvpipe.core.energy import measure
-from gvpipe.core.grid import VoxelGrid
-from gvpipe.core.levelset import evolve
-from gvpipe.core.motions import (
+from gvpipe.core.reconstruct.energy import measure
+from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.levelset import evolve
+from gvpipe.core.reconstruct.motions import (
     curvature,
     step_along_normal,
     step_by_curvature,

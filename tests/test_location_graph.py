@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply
-from gvpipe.core.links import Link, link_kind
-from gvpipe.core.location_graph import ControlPoint, MapOptions, build_map
-from gvpipe.core.loops import gap_candidates, loop_candidates
-from gvpipe.core.pose import yaw_tilt_roll
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply
+from gvpipe.core.geometry.pose import yaw_tilt_roll
+from gvpipe.core.slam.links import Link, link_kind
+from gvpipe.core.slam.location_graph import ControlPoint, MapOptions, build_map
+from gvpipe.core.slam.loops import gap_candidates, loop_candidates
 from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import (
     Scene,

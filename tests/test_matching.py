@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gvpipe.core.features import MatchOptions
-from gvpipe.core.homography import transfer_errors
-from gvpipe.core.matching import EXTRACTORS, MATCHERS, extract, match_views
+from gvpipe.core.geometry.homography import transfer_errors
+from gvpipe.core.matching.features import MatchOptions
+from gvpipe.core.matching.matchers import EXTRACTORS, MATCHERS, extract, match_views
 from gvpipe.core.types import Camera, Float, PairMatch, Pose, Rejected, View
 from tests.synthetic import Box, Scene, common_ground, texture, tiles, true_homography, view_at
 

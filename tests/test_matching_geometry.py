@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from gvpipe.core.features import MatchOptions
-from gvpipe.core.ground import pixel_from_ground, pixel_from_plane
-from gvpipe.core.homography import apply, normalise
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.rivals import plane_at, repetitions, shifted
-from gvpipe.core.sift import candidate_matches, extract_sift
-from gvpipe.core.twoview import PairPrior, TwoView, fit_two_views, two_views
+from gvpipe.core.geometry.ground import pixel_from_ground, pixel_from_plane
+from gvpipe.core.geometry.homography import apply, normalise
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.geometry.twoview import PairPrior, TwoView, fit_two_views, two_views
+from gvpipe.core.matching.features import MatchOptions
+from gvpipe.core.matching.rivals import plane_at, repetitions, shifted
+from gvpipe.core.matching.sift import candidate_matches, extract_sift
 from gvpipe.core.types import Camera, Mount, Pose
 from tests.synthetic import CAMERA, Scene, texture, tiles, view_at
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gvpipe.core.features import MatchOptions
-from gvpipe.core.ground import pixel_from_ground
+from gvpipe.core.geometry.ground import pixel_from_ground
 from gvpipe.core.kernels.patches import BLANK, LEAVES, align_patches
-from gvpipe.core.patches import grey_pyramid
+from gvpipe.core.matching.features import MatchOptions
+from gvpipe.core.matching.patches import grey_pyramid
+from gvpipe.core.matching.verdict import Evidence, objection
 from gvpipe.core.types import Float
-from gvpipe.core.verdict import Evidence, objection
 from tests.synthetic import CAMERA, Scene, texture, view_at
 
 SHIFT = np.array([0.004, -0.003])  # metres: a bit more than a pixel

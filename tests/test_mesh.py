@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gvpipe.core.grid import VoxelGrid
-from gvpipe.core.mesh import Mesh, find_obstacles, join, polygon_area, surface
-from gvpipe.core.visibility import colour, project, render_depth, sees, surface_points
+from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.mesh import Mesh, find_obstacles, join, polygon_area, surface
+from gvpipe.core.reconstruct.visibility import colour, project, render_depth, sees, surface_points
 from tests.test_carving import CENTRE, RADIUS, ball_view, texture
 
 GRID = VoxelGrid.over(np.array([-0.3, -0.2, 0.0]), np.array([0.3, 0.2, 0.3]), (120, 80, 60))

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from gvpipe.core.blend import BLENDS, Samples
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply, local_jacobian
-from gvpipe.core.mosaic import BAND, Composition, compose
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.raster import MosaicRaster, max_depth, outline, plan_raster
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply, local_jacobian
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.mosaic.blend import BLENDS, Samples
+from gvpipe.core.mosaic.compose import BAND, Composition, compose
+from gvpipe.core.mosaic.raster import MosaicRaster, max_depth, outline, plan_raster
 from gvpipe.core.types import Camera, Mount, PosedView
 from gvpipe.formats.raster import PngWriter, png_bytes, read_world_file, world_file
 

@@ -3,7 +3,7 @@
 import numpy as np
 import yaml
 
-from gvpipe.core.occupancy import FREE, OCCUPIED, UNKNOWN, draw_footprints, occupancy
+from gvpipe.core.mosaic.occupancy import FREE, OCCUPIED, UNKNOWN, draw_footprints, occupancy
 from gvpipe.formats.occupancy import pgm_bytes, yaml_text
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gvpipe.core.mesh import Mesh, PointCloud
+from gvpipe.core.reconstruct.mesh import Mesh, PointCloud
 from gvpipe.errors import InputError
 from gvpipe.formats.ply import encode_mesh, encode_points, read_mesh, write_mesh, write_points
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gvpipe.core.ground import pixel_from_ground, plane_normal
-from gvpipe.core.homography import apply, normalise
-from gvpipe.core.pose import mount_of, planar_pose, rotation_vector
-from gvpipe.core.relative_pose import (
+from gvpipe.core.geometry.ground import pixel_from_ground, plane_normal
+from gvpipe.core.geometry.homography import apply, normalise
+from gvpipe.core.geometry.pose import mount_of, planar_pose, rotation_vector
+from gvpipe.core.geometry.relative_pose import (
     choose,
     closed_form,
     decompose,
@@ -188,7 +188,7 @@ def test_tilt_and_roll_invert_the_plane_normal() -> None:
 
 
 def test_covariance_matches_the_scatter_of_repeated_estimates() -> None:
-    from gvpipe.core.homography import fit_linear, refine
+    from gvpipe.core.geometry.homography import fit_linear, refine
 
     rng = np.random.default_rng(3)
     mount_i = Mount(0.7, 0.02, 0.6)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from gvpipe.core.background import GroundModel
-from gvpipe.core.mesh import Mesh
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.render import render, turntable
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.reconstruct.background import GroundModel
+from gvpipe.core.reconstruct.mesh import Mesh
+from gvpipe.core.reconstruct.render import render, turntable
 from gvpipe.core.types import Camera, Mount
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gvpipe.core.candidates import candidate_pairs
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.signature import (
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.overlap.candidates import candidate_pairs
+from gvpipe.core.overlap.signature import (
     MIN_VOTES,
     agreement,
     common_ground,

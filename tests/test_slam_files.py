@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gvpipe.core.distortion import photographed, undistorted
-from gvpipe.core.pose import rotation_vector
+from gvpipe.core.geometry.distortion import photographed, undistorted
+from gvpipe.core.geometry.pose import rotation_vector
 from gvpipe.core.types import Camera, Float, Pose
 from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.errors import InputError

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from gvpipe.core.blend import BLENDS
-from gvpipe.core.exposure import balance
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply
-from gvpipe.core.mosaic import compose
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.raster import Picture, plan_raster
-from gvpipe.core.survey import survey
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.mosaic.blend import BLENDS
+from gvpipe.core.mosaic.compose import compose
+from gvpipe.core.mosaic.exposure import balance
+from gvpipe.core.mosaic.raster import Picture, plan_raster
+from gvpipe.core.mosaic.survey import survey
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
 
 CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)

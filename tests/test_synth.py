@@ -12,11 +12,18 @@ import trimesh
 
 from gvpipe.cli import run
 from gvpipe.configfile import load_config
-from gvpipe.core.camera_path import circle, ground_sampling, line, mower, poses, shared_ground
-from gvpipe.core.pose import mount_of, planar_pose
-from gvpipe.core.scene import Scene, make_scene, photograph
-from gvpipe.core.solids import Solid
-from gvpipe.core.texture import TEXTURES, stone
+from gvpipe.core.geometry.pose import mount_of, planar_pose
+from gvpipe.core.synthesis.camera_path import (
+    circle,
+    ground_sampling,
+    line,
+    mower,
+    poses,
+    shared_ground,
+)
+from gvpipe.core.synthesis.scene import Scene, make_scene, photograph
+from gvpipe.core.synthesis.solids import Solid
+from gvpipe.core.synthesis.texture import TEXTURES, stone
 from gvpipe.core.types import Camera, Float, Mount, Pose
 from gvpipe.dataset import open_dataset
 from gvpipe.formats.tum import read_tum

@@ -17,11 +17,11 @@ from gvpipe.commands.photos import (
     read_photo,
     shrink,
 )
-from gvpipe.core.board import Board, BoardView, calibrate_board, find_board
-from gvpipe.core.common_plane import ground_pairs
-from gvpipe.core.features import Features
-from gvpipe.core.raw_matching import PlanePair, match_planes, raw_features
-from gvpipe.core.self_calibration import EXPECTED_FOCAL, SelfCalibration, self_calibrate
+from gvpipe.core.calibration.board import Board, BoardView, calibrate_board, find_board
+from gvpipe.core.calibration.common_plane import ground_pairs
+from gvpipe.core.calibration.raw_matching import PlanePair, match_planes, raw_features
+from gvpipe.core.calibration.self_calibration import EXPECTED_FOCAL, SelfCalibration, self_calibrate
+from gvpipe.core.matching.features import Features
 from gvpipe.core.types import Camera, Rejected
 from gvpipe.errors import ConfigError, InputError, NoResultError
 from gvpipe.formats.calibration import Calibration, read_calibration

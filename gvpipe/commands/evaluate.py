@@ -9,9 +9,7 @@ import numpy as np
 from gvpipe.artefacts import read_artefact
 from gvpipe.commands.output import finish
 from gvpipe.commands.trajectories import Trajectory, associate, paired, read_trajectory
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply
-from gvpipe.core.trajectory_error import (
+from gvpipe.core.evaluation.trajectory_error import (
     Alignment,
     Errors,
     absolute_errors,
@@ -20,6 +18,8 @@ from gvpipe.core.trajectory_error import (
     relative_errors,
     statistics,
 )
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply
 from gvpipe.core.types import Camera, Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.names import escape

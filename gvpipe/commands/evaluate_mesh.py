@@ -9,8 +9,8 @@ import trimesh
 
 from gvpipe.commands.output import finish
 from gvpipe.commands.trajectories import paired
-from gvpipe.core.mesh_error import Surface, sample_surface, surface_errors, volume_iou
-from gvpipe.core.trajectory_error import Alignment, Similarity, align
+from gvpipe.core.evaluation.mesh_error import Surface, sample_surface, surface_errors, volume_iou
+from gvpipe.core.evaluation.trajectory_error import Alignment, Similarity, align
 from gvpipe.core.types import Rejected
 from gvpipe.errors import InputError
 from gvpipe.names import escape

@@ -12,7 +12,7 @@ from gvpipe.commands.init_text import CameraGuess, RobotGuess, config_text
 from gvpipe.commands.output import write_file
 from gvpipe.commands.photos import Photo, list_photos, of_one_size, read_photo
 from gvpipe.configfile import load_config
-from gvpipe.core.self_calibration import EXPECTED_FOCAL
+from gvpipe.core.calibration.self_calibration import EXPECTED_FOCAL
 from gvpipe.core.types import Image, Rejected
 from gvpipe.dataset import open_dataset
 from gvpipe.errors import InputError, OutputError

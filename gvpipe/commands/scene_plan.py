@@ -7,9 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gvpipe.core.camera_path import circle, ground_sampling, line, mower, poses, shared_ground
-from gvpipe.core.pose import mount_of
-from gvpipe.core.solids import Kind, Solid
+from gvpipe.core.geometry.pose import mount_of
+from gvpipe.core.synthesis.camera_path import (
+    circle,
+    ground_sampling,
+    line,
+    mower,
+    poses,
+    shared_ground,
+)
+from gvpipe.core.synthesis.solids import Kind, Solid
 from gvpipe.core.types import Camera, Mount, Pose
 from gvpipe.errors import InputError, UsageError
 from gvpipe.formats.tum import read_tum

@@ -11,11 +11,11 @@ import numpy as np
 
 from gvpipe.artefacts import canonical_json
 from gvpipe.commands.scene_plan import Plan, Shot, advice, take_shots
-from gvpipe.core.mesh import join
-from gvpipe.core.pose import mount_of
-from gvpipe.core.scene import Scene, make_scene, photograph
-from gvpipe.core.solids import Solid
-from gvpipe.core.texture import TEXTURES, of_picture
+from gvpipe.core.geometry.pose import mount_of
+from gvpipe.core.reconstruct.mesh import join
+from gvpipe.core.synthesis.scene import Scene, make_scene, photograph
+from gvpipe.core.synthesis.solids import Solid
+from gvpipe.core.synthesis.texture import TEXTURES, of_picture
 from gvpipe.core.types import Float, Image, Rejected
 from gvpipe.errors import InputError, OutputError
 from gvpipe.formats.images import read_image

@@ -6,7 +6,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from gvpipe.core.occupancy import FREE, OCCUPIED, UNKNOWN
+from gvpipe.core.mosaic.occupancy import FREE, OCCUPIED, UNKNOWN
 
 PGM_VALUES = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 """What map_server itself saves; 205 lies between the two thresholds, so it reads as unknown."""

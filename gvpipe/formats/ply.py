@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gvpipe.core.mesh import Mesh, PointCloud
+from gvpipe.core.reconstruct.mesh import Mesh, PointCloud
 from gvpipe.core.types import Float, Image
 from gvpipe.errors import InputError
 

@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from gvpipe.config import Config
-from gvpipe.core.correlation import shared_errors
-from gvpipe.core.ground import plane_normal
-from gvpipe.core.pose import yaw_tilt_roll
-from gvpipe.core.relative_pose import (
+from gvpipe.core.geometry.ground import plane_normal
+from gvpipe.core.geometry.pose import yaw_tilt_roll
+from gvpipe.core.geometry.relative_pose import (
     RelativePose,
     choose,
     closed_form,
@@ -18,6 +17,7 @@ from gvpipe.core.relative_pose import (
     motion_covariance,
     robot_motion,
 )
+from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.types import Float
 from gvpipe.dataset import ImageEntry
 from gvpipe.records import Body, GammaRow, LocalizeBody, MatchBody, MotionFields, MotionRow, PairRow

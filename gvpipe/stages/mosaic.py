@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.config import Config
-from gvpipe.core.blend import BLENDS
-from gvpipe.core.mosaic import Composition, MosaicBand
-from gvpipe.core.occupancy import margin, occupancy, probability_steps
-from gvpipe.core.raster import Picture, plan_raster
+from gvpipe.core.mosaic.blend import BLENDS
+from gvpipe.core.mosaic.compose import Composition, MosaicBand
+from gvpipe.core.mosaic.occupancy import margin, occupancy, probability_steps
+from gvpipe.core.mosaic.raster import Picture, plan_raster
 from gvpipe.core.types import Pose
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError

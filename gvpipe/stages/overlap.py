@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
-from gvpipe.core.candidates import Candidate, candidates_among, shortlist
-from gvpipe.core.histogram import BINS, DISTANCES, ground_histogram
-from gvpipe.core.signature import Signature, common_ground, expected_overlap, ground_signature
+from gvpipe.core.overlap.candidates import Candidate, candidates_among, shortlist
+from gvpipe.core.overlap.histogram import BINS, DISTANCES, ground_histogram
+from gvpipe.core.overlap.signature import (
+    Signature,
+    common_ground,
+    expected_overlap,
+    ground_signature,
+)
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError

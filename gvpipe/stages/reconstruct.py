@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config, ReconstructConfig
-from gvpipe.core.background import GroundModel
-from gvpipe.core.carving import level_set_of, space_carving, visual_hull, voxel_coloring
-from gvpipe.core.evidence import Region, data_terms, find_regions
-from gvpipe.core.grid import VoxelGrid
-from gvpipe.core.levelset import Evolution, evolve
-from gvpipe.core.mesh import Obstacle, PointCloud, find_obstacles, join
-from gvpipe.core.render import turntable
-from gvpipe.core.silhouette import EvidenceOptions, Silhouette, silhouettes
+from gvpipe.core.reconstruct.background import GroundModel
+from gvpipe.core.reconstruct.carving import level_set_of, space_carving, visual_hull, voxel_coloring
+from gvpipe.core.reconstruct.evidence import Region, data_terms, find_regions
+from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.levelset import Evolution, evolve
+from gvpipe.core.reconstruct.mesh import Obstacle, PointCloud, find_obstacles, join
+from gvpipe.core.reconstruct.render import turntable
+from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, silhouettes
+from gvpipe.core.reconstruct.visibility import colour, surface_points
 from gvpipe.core.types import PosedView
-from gvpipe.core.visibility import colour, surface_points
 from gvpipe.errors import InputError
 from gvpipe.formats.ply import write_mesh, write_points
 from gvpipe.formats.raster import png_bytes

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.artefacts import Artefact
-from gvpipe.core.hidden import Solid, with_obstacles
-from gvpipe.core.raster import MosaicRaster, Posed
+from gvpipe.core.mosaic.hidden import Solid, with_obstacles
+from gvpipe.core.mosaic.raster import MosaicRaster, Posed
 from gvpipe.errors import InputError
 from gvpipe.formats.occupancy import pgm_bytes, read_pgm, yaml_text
 from gvpipe.records import MosaicBody, ObstacleRow

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from gvpipe.config import Config
-from gvpipe.core.links import Link, link_kind
-from gvpipe.core.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.loops import gap_candidates, loop_candidates
-from gvpipe.core.pose import mount_of, yaw_tilt_roll
+from gvpipe.core.geometry.pose import mount_of, yaw_tilt_roll
+from gvpipe.core.slam.links import Link, link_kind
+from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
+from gvpipe.core.slam.loops import gap_candidates, loop_candidates
 from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.errors import InputError

@@ -3,11 +3,11 @@
 import numpy as np
 
 from gvpipe.config import Config
-from gvpipe.core.distortion import undistorted
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.homography import apply
-from gvpipe.core.location_graph import ControlPoint, MapResult
-from gvpipe.core.transfer import map_from_pixel
+from gvpipe.core.geometry.distortion import undistorted
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply
+from gvpipe.core.slam.location_graph import ControlPoint, MapResult
+from gvpipe.core.slam.transfer import map_from_pixel
 from gvpipe.core.types import Camera
 from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.records import ControlRow, SlamBody

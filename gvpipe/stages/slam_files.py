@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gvpipe.core.correlation import shared_errors
-from gvpipe.core.distortion import photographed
-from gvpipe.core.ground import pixel_from_plane, plane_normal
-from gvpipe.core.homography import apply
-from gvpipe.core.links import Link
-from gvpipe.core.location_graph import SeenGround
-from gvpipe.core.pose import mount_of
-from gvpipe.core.relative_pose import choose, decompose, ground_motion, motion_covariance
+from gvpipe.core.geometry.distortion import photographed
+from gvpipe.core.geometry.ground import pixel_from_plane, plane_normal
+from gvpipe.core.geometry.homography import apply
+from gvpipe.core.geometry.pose import mount_of
+from gvpipe.core.geometry.relative_pose import choose, decompose, ground_motion, motion_covariance
+from gvpipe.core.slam.correlation import shared_errors
+from gvpipe.core.slam.links import Link
+from gvpipe.core.slam.location_graph import SeenGround
 from gvpipe.core.types import Float, Pose
 from gvpipe.dataset import Dataset
 from gvpipe.formats.calibration import Calibration

@@ -90,7 +90,7 @@ def calibrate_board(
     if not 3 <= int(columns) <= 99 or not 3 <= int(rows) <= 99 or not 0 <= marker < square:
         raise UsageError("--board, --marker: expected 3 to 99 columns and rows, marker < square")
     from gvpipe.commands.calibrate import board as run
-    from gvpipe.core.board import Board
+    from gvpipe.core.calibration.board import Board
     from gvpipe.report import Reporter
 
     reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)

@@ -108,7 +108,7 @@ def synth(
     """Render photographs of a made-up scene, to plan a capture or to test."""
     from gvpipe.commands.scene_plan import Plan, default_solids, parse_solid
     from gvpipe.commands.synth import run
-    from gvpipe.core.solids import KINDS
+    from gvpipe.core.synthesis.solids import KINDS
     from gvpipe.core.types import Camera, Mount
     from gvpipe.report import Reporter
 

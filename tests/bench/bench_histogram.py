@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from gvpipe.core.histogram import DISTANCES
+from gvpipe.core.overlap.histogram import DISTANCES
 
 
 def main(n: int = 10_000) -> None:

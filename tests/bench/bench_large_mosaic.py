@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gvpipe.core.blend import BLENDS
-from gvpipe.core.mosaic import Composition
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.raster import MosaicRaster, Picture
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.mosaic.blend import BLENDS
+from gvpipe.core.mosaic.compose import Composition
+from gvpipe.core.mosaic.raster import MosaicRaster, Picture
 from gvpipe.core.types import Camera, Mount
 from gvpipe.formats.files import file_sha256
 from gvpipe.pixels import PixelSource, PixelStore

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from skimage.measure import marching_cubes
 
-from gvpipe.core.levelset import evolve
+from gvpipe.core.reconstruct.levelset import evolve
 
 Array = NDArray[np.float32]
 

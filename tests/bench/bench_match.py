@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from gvpipe.core.features import MatchOptions
-from gvpipe.core.homography import transfer_errors
-from gvpipe.core.matching import MATCHERS, extract, match_views
+from gvpipe.core.geometry.homography import transfer_errors
+from gvpipe.core.matching.features import MatchOptions
+from gvpipe.core.matching.matchers import MATCHERS, extract, match_views
 from gvpipe.core.types import Camera, Float, PairMatch, View
 from tests.synthetic import Scene, common_ground, texture, true_homography, view_at
 

@@ -12,11 +12,11 @@ import time
 
 import numpy as np
 
-from gvpipe.core.blend import BLENDS
-from gvpipe.core.ground import pixel_from_plane
-from gvpipe.core.mosaic import compose
-from gvpipe.core.pose import planar_pose
-from gvpipe.core.raster import MosaicRaster, max_depth
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.mosaic.blend import BLENDS
+from gvpipe.core.mosaic.compose import compose
+from gvpipe.core.mosaic.raster import MosaicRaster, max_depth
 from gvpipe.core.types import Camera, Mount, PosedView
 
 CAMERA = Camera(640, 480, 560.0, 560.0, 319.5, 239.5)

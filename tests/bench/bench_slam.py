@@ -19,7 +19,7 @@ import numpy as np
 
 from gvpipe.config import Config
 from gvpipe.configfile import load_config
-from gvpipe.core.pose import planar_pose
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.types import Camera, Float, Mount, Pose
 from gvpipe.dataset import open_dataset
 from gvpipe.formats.colmap import read_images

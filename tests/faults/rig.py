@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gvpipe.core.pose import planar_pose
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.types import Camera, Mount
 from tests.synthetic import Box, Scene, texture
 

@@ -1,7 +1,7 @@
 """Sampling of pictures on a map tile, and the choice among the samples of one map pixel.
 
 A tile's samples are packed: pixel (v, u) of a tile has ``count[v, u]`` of them, in
-``colours[v, u, :count]`` and so on; see ``gvpipe.core.blend.Samples``.
+``colours[v, u, :count]`` and so on; see ``gvpipe.core.mosaic.blend.Samples``.
 """
 
 import numpy as np

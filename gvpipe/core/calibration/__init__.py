@@ -1,0 +1,1 @@
+"""Intrinsics from boards and from the ground itself."""

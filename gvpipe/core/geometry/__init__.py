@@ -1,0 +1,1 @@
+"""The ground plane seen by cameras: poses, homographies, relative motion, lens distortion."""

@@ -1,0 +1,1 @@
+"""From two pictures to their ground homography: features, hypotheses, refinement, verdict."""

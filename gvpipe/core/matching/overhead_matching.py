@@ -1,0 +1,208 @@
+"""The default matcher: SIFT on overhead views, then patches of ground aligned in the pictures."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from gvpipe.core.geometry.homography import transfer_errors
+from gvpipe.core.geometry.twoview import PairPrior, TwoView, two_views
+from gvpipe.core.matching.features import Features, MatchOptions
+from gvpipe.core.matching.hypotheses import INLIER_PX, Matches, find_hypotheses
+from gvpipe.core.matching.patches import COARSENESS, Aligned, Pyramid, align, grey_pyramid
+from gvpipe.core.matching.rivals import lower_plane, repetitions, shifted
+from gvpipe.core.matching.sift import candidate_matches
+from gvpipe.core.matching.verdict import Evidence, objection, weigh
+from gvpipe.core.types import Float, Mount, PairMatch, Rejected, View
+
+_MAX_MATCHES = 500  # the most distinct ones: a right geometry never needs more
+_MIN_MATCHES = 4
+_TRIED = 3  # hypotheses whose patches are compared, for each set of assumed tilts
+_WELL_KNOWN = 40  # keypoint matches that place patches to a pixel or two
+_CERTAIN = 15.0  # decimal exponent of the odds at which looking further is a waste
+_LEAST_GROUND = 0.3  # patches of a lower plane, of those on the found one: less may be reflections
+_AMBIGUOUS = 0.8  # share of agreeing patches of a shifted geometry, of the found one's
+_WIDER = np.radians(6.0)  # next tilts to try where the configured ones lead nowhere
+_UNKNOWN = np.radians([-20.0, -10.0, 10.0, 20.0])  # the same for a tilt that is not known
+_UNKNOWN_SIGMA = np.radians(20.0)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """All that stays the same while geometries are compared."""
+
+    expected: TwoView
+    prior: PairPrior
+    pyramids: tuple[Pyramid, Pyramid]
+    matches: Matches
+    options: MatchOptions
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A geometry with its evidence and what is to be said against it."""
+
+    start: TwoView
+    aligned: Aligned
+    covariance: Float
+    evidence: Evidence
+    objection: str | None
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        return self.objection is None, self.evidence.log10_odds
+
+
+def _matches(features_i: Features, features_j: Features, max_ratio: float) -> Matches:
+    index_i, index_j, _ = candidate_matches(features_i, features_j, max_ratio)
+    index_i, index_j = index_i[:_MAX_MATCHES], index_j[:_MAX_MATCHES]
+    return Matches(
+        features_i.pixels[index_i],
+        features_j.pixels[index_j],
+        features_j.angle[index_j] - features_i.angle[index_i],
+        np.log(features_j.size[index_j] / features_i.size[index_i]),
+    )
+
+
+def _tilt_errors(mount: Mount) -> tuple[float, ...]:
+    return (0.0, *(float(t) for t in ((-_WIDER, _WIDER) if mount.tilt_known else _UNKNOWN)))
+
+
+def _examine(
+    pair: _Pair, start: TwoView, geometry: TwoView, coarseness: tuple[float, ...] = COARSENESS
+) -> _Candidate | None:
+    """Align the ground patches of a geometry and weigh what they say."""
+    aligned = align(geometry, pair.expected, pair.prior, *pair.pyramids, coarseness=coarseness)
+    if aligned is None:
+        return None
+    covariance = aligned.fit.homography_covariance
+    evidence = weigh(aligned, covariance, pair.expected)
+    return _Candidate(start, aligned, covariance, evidence, objection(evidence, pair.options))
+
+
+def _search(pair: _Pair, rng: np.random.Generator) -> tuple[_Candidate | None, int, int]:
+    """Best candidate, hypotheses drawn, most keypoint matches on a plane."""
+    mount_i, mount_j = pair.expected.mount_i, pair.expected.mount_j
+    grid = list(product(_tilt_errors(mount_i), _tilt_errors(mount_j)))
+    best: _Candidate | None = None
+    trials = most = 0
+    for assumed in (grid[:1], grid[1:]):
+        draws = pair.options.hypotheses
+        found = find_hypotheses(
+            pair.expected,
+            pair.prior,
+            pair.matches,
+            tuple(assumed),
+            draws,
+            rng,
+        )
+        trials += draws * len(assumed)
+        most = max([most, *(int(h.inliers.sum()) for h in found)])
+        for hypothesis in found[:_TRIED]:
+            well_known = hypothesis.inliers.sum() > _WELL_KNOWN
+            rounds = COARSENESS[1:] if well_known else COARSENESS
+            candidate = _examine(pair, hypothesis.start, hypothesis.geometry, rounds)
+            if candidate and (best is None or candidate.rank > best.rank):
+                best = candidate
+            if best and best.rank > (True, _CERTAIN):
+                return best, trials, most
+    return best, trials, most
+
+
+def _lowest(pair: _Pair, found: _Candidate) -> _Candidate:
+    """Return the plane below the found one, if the pictures show one."""
+    below = lower_plane(found.aligned.fit.geometry, pair.matches, INLIER_PX)
+    lower = _examine(pair, found.start, below) if below is not None else None
+    if lower is None or lower.objection is not None:
+        return found
+    ground, top = lower.aligned.fit.geometry, found.aligned.fit.geometry
+    enough = lower.evidence.inliers > _LEAST_GROUND * found.evidence.inliers
+    return lower if enough and np.hypot(ground.x, ground.y) < np.hypot(top.x, top.y) else found
+
+
+def _ambiguity(pair: _Pair, found: _Candidate, view_i: View) -> str | None:
+    """Say which shift of a repetitive ground agrees as well, or None."""
+    geometry = found.aligned.fit.geometry
+    for shift in repetitions(view_i, geometry):
+        for sign in (1.0, -1.0):
+            other = shifted(geometry, sign * shift)
+            rival = _examine(pair, other, other, coarseness=(1.0,))
+            if rival is None:
+                continue
+            moved = rival.aligned.fit.geometry
+            away = np.hypot(moved.x - geometry.x, moved.y - geometry.y)
+            share = found.evidence.inliers / found.evidence.tested
+            rival_share = rival.evidence.inliers / max(rival.evidence.tested, 1)
+            if away > 0.5 * np.hypot(*shift) and rival_share > _AMBIGUOUS * share:
+                return (
+                    f"the ground repeats every {np.hypot(*shift):.2f} m: "
+                    f"{found.evidence.inliers} of {found.evidence.tested} patches agree, shifted "
+                    f"by that {rival.evidence.inliers} of {rival.evidence.tested}"
+                )
+    return None
+
+
+def match_sift(
+    view_i: View,
+    view_j: View,
+    features_i: Features,
+    features_j: Features,
+    options: MatchOptions,
+    rng: np.random.Generator,
+) -> PairMatch | Rejected:
+    """Match on overhead views; parameters as in `gvpipe.core.matching.matchers.match_views`."""
+    matches = _matches(features_i, features_j, options.max_ratio)
+    candidates = len(matches.pixels_i)
+    if candidates < _MIN_MATCHES:
+        return Rejected(
+            f"{candidates} of {len(features_i.pixels)} keypoints have a distinct counterpart, at "
+            f"least {_MIN_MATCHES} are needed",
+            candidates=candidates,
+        )
+    tilt_i, tilt_j = (
+        options.tilt_sigma if v.mount.tilt_known else _UNKNOWN_SIGMA for v in (view_i, view_j)
+    )
+    pair = _Pair(
+        expected=two_views(view_i, view_j),
+        prior=PairPrior(
+            tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
+        ),
+        pyramids=(grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)),
+        matches=matches,
+        options=options,
+    )
+    best, trials, most = _search(pair, rng)
+    if best is None:
+        return Rejected(
+            f"the best ground plane has {most} of {candidates} keypoint matches and no ground "
+            "patches that look alike",
+            candidates=candidates,
+            trials=trials,
+        )
+    reason = best.objection
+    if reason is None:
+        best = _lowest(pair, best)
+        reason = _ambiguity(pair, best, view_i)
+    if reason is not None:
+        return Rejected(reason, candidates, trials, best.evidence.inliers)
+    return _accepted(best, candidates, trials)
+
+
+def _accepted(best: _Candidate, candidates: int, trials: int) -> PairMatch:
+    geometry, agrees = best.aligned.fit.geometry, best.aligned.agrees
+    points_i, points_j = best.aligned.points_i[agrees], best.aligned.points_j[agrees]
+    errors = transfer_errors(geometry.homography, points_i, points_j)
+    return PairMatch(
+        homography=geometry.homography,
+        homography_initial=best.start.homography,
+        overhead_j_from_i=geometry.ground_j_from_ground_i,
+        points_i=points_i,
+        points_j=points_j,
+        error_px=float(np.sqrt((errors**2).mean())),
+        tilt_i=geometry.mount_i.tilt,
+        tilt_j=geometry.mount_j.tilt,
+        candidates=candidates,
+        trials=trials,
+        probability=best.evidence.probability,
+        covariance=best.covariance,
+    )

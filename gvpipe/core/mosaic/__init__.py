@@ -1,0 +1,1 @@
+"""From posed pictures to the overhead map: raster, exposure, composition, occupancy."""

@@ -1,0 +1,93 @@
+"""Ground that known obstacles hide from every camera."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.mosaic.occupancy import FREE, UNKNOWN, draw_footprints
+from gvpipe.core.mosaic.raster import MosaicRaster, Posed, outline
+from gvpipe.core.types import Float
+
+MAX_HEIGHT_SHARE = 0.95
+"""Obstacles count as no higher than this share of the camera's height: the shadow of a higher one
+has no end, and one 20 times the obstacle's distance long leaves every picture."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """An obstacle as an upright prism.
+
+    Attributes
+    ----------
+    footprint : (N, 2) float64
+        Outline on the ground, map metres.
+    height_m : float
+        Above the ground.
+    """
+
+    footprint: Float
+    height_m: float
+
+
+def with_obstacles(
+    cells: NDArray[np.int8],
+    solids: Sequence[Solid],
+    views: Sequence[Posed],
+    raster: MosaicRaster,
+) -> NDArray[np.int8]:
+    """Correct an occupancy grid by what stands on the ground.
+
+    Parameters
+    ----------
+    cells : (H, W) int8
+        Cell states.
+    solids : sequence of Solid
+        Obstacles.
+    views : sequence of Posed
+        All cameras of the map.
+    raster : MosaicRaster
+        Of the cells.
+
+    Returns
+    -------
+    cells : (H, W) int8
+        A copy: occupied under the obstacles; unknown where it was free though they hide the
+        ground there from every camera, which then saw their sides.
+    """
+    visible = np.zeros(cells.shape, np.uint8)
+    for view in views:
+        ground = outline(view, raster.resolution)
+        if len(ground):
+            visible |= _sight(view, ground, solids, cells.shape, raster)
+    hidden = (cells == FREE) & (visible == 0)
+    known = np.where(hidden, UNKNOWN, cells).astype(np.int8)
+    return draw_footprints(known, [s.footprint for s in solids], raster.map_from_pixel)
+
+
+def _sight(
+    view: Posed,
+    ground: Float,
+    solids: Sequence[Solid],
+    shape: tuple[int, ...],
+    raster: MosaicRaster,
+) -> NDArray[np.uint8]:
+    """Ground in view without the shadows that obstacles throw from the camera, (H, W) 0 or 1."""
+    seen = np.zeros(shape, np.uint8)
+    cv2.fillPoly(seen, [_pixels(ground, raster)], 1)
+    centre = view.map_from_camera.translation
+    for solid in solids:
+        height = min(solid.height_m, MAX_HEIGHT_SHARE * centre[2])
+        top = centre[:2] + (solid.footprint - centre[:2]) * (centre[2] / (centre[2] - height))
+        corners = np.concatenate([solid.footprint, top])
+        cv2.fillConvexPoly(seen, cv2.convexHull(_pixels(corners, raster)), 0)
+    return seen
+
+
+def _pixels(points: Float, raster: MosaicRaster) -> NDArray[np.int32]:
+    """Nearest pixels of map points, (N, 2)."""
+    u = (points[:, 0] - raster.x_min) / raster.resolution
+    v = (raster.y_max - points[:, 1]) / raster.resolution
+    return np.rint(np.column_stack([u, v])).astype(np.int32)

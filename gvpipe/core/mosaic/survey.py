@@ -1,0 +1,344 @@
+"""A coarse look at all views before they are composed: which of them see ground, and how bright.
+
+An obstacle does not lie in the ground plane, so in every overhead view it is smeared away from
+the camera, over ground that other views see. Cell by cell the views vote on the colour of the
+ground; a vote counts by direction, by length of the line of sight, and by how common its colour
+is on ground that views from several sides agree on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.kernels import survey as kernels
+from gvpipe.core.mosaic.cleanmap import CleanMap
+from gvpipe.core.mosaic.exposure import Exposure, balance
+from gvpipe.core.mosaic.groundcolours import GroundColours, colour_bins
+from gvpipe.core.mosaic.raster import (
+    Border,
+    MosaicRaster,
+    Picture,
+    PlacedIndex,
+    PlacedView,
+    max_depth,
+    place,
+)
+from gvpipe.core.mosaic.tiles import in_order
+from gvpipe.core.types import Float, PosedView
+
+CELLS_PER_HEIGHT = 25.0
+"""Cells in one camera height: 2 to 3 cm for a robot, smaller than what it must not run into and
+large enough to average the grain of the floor and a pixel of misregistration."""
+
+TILE = 24
+"""Side of a survey tile, cells: about a camera height, the neighbourhood of ground colours."""
+
+MARGIN = 2
+"""Cells around a tile that its smoothing needs."""
+
+REACH_HEIGHTS = 4.0
+"""Line of sight over the ground, in camera heights, at which a vote has lost 63 % of its weight."""
+
+LIKE = 15.0
+"""Colours closer than this (grey levels, RGB distance) are the same: noise and registration."""
+
+FIT = 20.0
+"""Colours closer than this to the ground's are ground."""
+
+COLOUR_WEIGHT = 0.15
+"""Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^6
+times rarer counts about as much as one view from a direction of its own."""
+
+SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
+"""Cells where four fifths of at least one and a bit directions agree teach the ground's colours."""
+
+MAX_SPOTS = 60_000
+"""Spots in the estimate of exposures: some hundred for each of hundreds of views."""
+
+LOG_ODDS = 0.85
+"""Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
+
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the coarse look found.
+
+    Attributes
+    ----------
+    factor : int
+        Mosaic pixels in a cell's side.
+    raster : MosaicRaster
+        The cells.
+    exposure : Exposure
+        Brightness of the views.
+    clean : tuple of CleanMap
+        One of each view.
+    borders : tuple of Border
+        Of the pictures.
+    log_odds : (H, W) float16
+        Evidence of an obstacle in each cell, negative = free ground.
+    covered_m2 : float
+        Area of the cells that any view sees.
+    """
+
+    factor: int
+    raster: MosaicRaster
+    exposure: Exposure
+    clean: tuple[CleanMap, ...]
+    borders: tuple[Border, ...]
+    log_odds: NDArray[np.float16]
+    covered_m2: float
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """All cells of one view: colours (h, w, 3) and radii (h, w), -1 = not seen."""
+
+    column: int
+    row: int
+    colours: NDArray[np.uint8]
+    radii: NDArray[np.float16]
+    border: Border
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A tile of cells: views that may see it, colours (h, w, n, 3), radii (h, w, n)."""
+
+    column: int
+    row: int
+    views: NDArray[np.intp]
+    colours: Single
+    radii: Single
+
+
+def survey(views: Sequence[PosedView | Picture], raster: MosaicRaster, jobs: int = 1) -> Survey:
+    """Look at all views in coarse cells.
+
+    Parameters
+    ----------
+    views : sequence of PosedView or Picture
+        Pictures with their poses in the map; each is read once.
+    raster : MosaicRaster
+        The mosaic to be composed.
+    jobs : int
+        Threads; the result does not depend on it.
+
+    Returns
+    -------
+    survey : Survey
+    """
+    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
+    factor = max(1, round(height / CELLS_PER_HEIGHT / raster.resolution))
+    return _Surveyor([Picture.of(v) for v in views], raster, factor, jobs).run()
+
+
+class _Surveyor:
+    """The passes over the tiles, with the cells they share."""
+
+    def __init__(
+        self, views: Sequence[Picture], raster: MosaicRaster, factor: int, jobs: int
+    ) -> None:
+        self.views, self.factor, self.jobs = views, factor, jobs
+        self.cells = raster.coarser(factor)
+        self.depths = [max_depth(v, raster.resolution) for v in views]
+        self.cameras = np.array([v.map_from_camera.translation for v in views])
+        seen = list(in_order(self._sight, range(len(views)), jobs))
+        self.sights = [sight for _, sight in seen]
+        self.placed = [placed for placed, _ in seen]
+        self.index = PlacedIndex(self.placed)
+        corners = [
+            (row, column)
+            for row in range(0, self.cells.height, TILE)
+            for column in range(0, self.cells.width, TILE)
+        ]
+        self.tiles = [c for c in corners if len(self._touching(c))]
+
+    def run(self) -> Survey:
+        spots = in_order(self._spots, self.tiles, self.jobs)
+        exposure = self._balance([s for s in spots if len(s)])
+        tallies = in_order(lambda t: self._tally(t, exposure), self.tiles, self.jobs)
+        known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
+        maps = [CleanMap.blank(p, self.cells) for p in self.placed]
+        evidence = np.zeros((self.cells.height, self.cells.width), np.float16)
+        covered = 0
+        judged = in_order(
+            lambda t: self._judge(t, exposure, known.around(t)), self.tiles, self.jobs
+        )
+        for tile, (look, clean, odds) in zip(self.tiles, judged, strict=True):
+            evidence[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE] = odds
+            inner = look.radii[MARGIN:-MARGIN, MARGIN:-MARGIN]
+            covered += int((inner >= 0).any(axis=2).sum())
+            for k, weights in zip(look.views, np.moveaxis(clean, 2, 0), strict=True):
+                maps[k].paste(tile, weights)
+        return Survey(
+            self.factor,
+            self.cells,
+            exposure,
+            tuple(maps),
+            tuple(s.border for s in self.sights),
+            evidence,
+            covered * self.cells.resolution**2,
+        )
+
+    def _sight(self, k: int) -> tuple[PlacedView | None, _Sight]:
+        """Sample all cells of a view: the only time that its picture is read."""
+        view = self.views[k]
+        border = view.border()
+        p = place(view, self.cells, self.depths[k], border)
+        if p is None:
+            nothing = np.zeros((0, 0, 3), np.uint8)
+            return p, _Sight(0, 0, nothing, np.zeros((0, 0), np.float16), border)
+        column, row = int(np.floor(p.box[0])), int(np.floor(p.box[1]))
+        shape = (int(np.ceil(p.box[3])) - row + 1, int(np.ceil(p.box[2])) - column + 1)
+        colours, radii = np.zeros((*shape, 3), np.float32), np.empty(shape, np.float32)
+        kernels.cell_colours(
+            view.read(),
+            *border,
+            p.pixel_from_raster @ _shift(column, row),
+            p.max_depth,
+            np.array([view.camera.cx, view.camera.cy]),
+            view.camera.width / 2,
+            colours,
+            radii,
+        )
+        # a tenth of the memory of the pictures: the tiles are made of these three times
+        rounded = np.rint(colours).astype(np.uint8)
+        return p, _Sight(column, row, rounded, radii.astype(np.float16), border)
+
+    def _window(self, tile: tuple[int, int]) -> tuple[int, int, int, int]:
+        """First column and row, width and height of a tile with its margin."""
+        height = min(TILE, self.cells.height - tile[0]) + 2 * MARGIN
+        width = min(TILE, self.cells.width - tile[1]) + 2 * MARGIN
+        return tile[1] - MARGIN, tile[0] - MARGIN, width, height
+
+    def _touching(self, tile: tuple[int, int]) -> NDArray[np.intp]:
+        return self.index.touching(*self._window(tile))
+
+    def _look(self, tile: tuple[int, int]) -> _Look:
+        """Gather the cells of a tile and its margin from all views."""
+        column, row, width, height = self._window(tile)
+        views = self._touching(tile)
+        colours = np.zeros((height, width, len(views), 3), np.float32)
+        radii = np.full((height, width, len(views)), -1.0, np.float32)
+        for n, k in enumerate(views):
+            sight = self.sights[k]
+            h, w = sight.radii.shape
+            top, left = max(row, sight.row), max(column, sight.column)
+            bottom, right = min(row + height, sight.row + h), min(column + width, sight.column + w)
+            if top < bottom and left < right:
+                here = np.s_[top - row : bottom - row, left - column : right - column, n]
+                there = np.s_[
+                    top - sight.row : bottom - sight.row, left - sight.column : right - sight.column
+                ]
+                colours[here], radii[here] = sight.colours[there], sight.radii[there]
+        return _Look(column, row, views, colours, radii)
+
+    def _spots(self, tile: tuple[int, int]) -> Float:
+        """Cells seen by successive views: (N, 5) of views i and j, log ratio, radii in i and j."""
+        look = self._look(tile)
+        if not len(look.views):
+            return np.empty((0, 5))
+        total = self.cells.width * self.cells.height
+        step = max(1, round(float(np.sqrt(total / MAX_SPOTS))))
+        colours = look.colours[::step, ::step].reshape(-1, len(look.views), 3)
+        radii = look.radii[::step, ::step].reshape(-1, len(look.views))
+        light = np.log1p(colours.mean(axis=2, dtype=np.float64))
+        rows = []
+        for a in range(len(look.views)):
+            # the next view that sees the cell, round the list, so that every chain closes
+            unpaired = radii[:, a] >= 0
+            for b in (*range(a + 1, len(look.views)), *range(a)):
+                both = unpaired & (radii[:, b] >= 0)
+                unpaired &= ~both
+                if both.any():
+                    ratio = light[both, a] - light[both, b]
+                    ids = np.broadcast_to(look.views[[a, b]], (len(ratio), 2))
+                    rows.append(np.column_stack([ids, ratio, radii[both][:, [a, b]]]))
+        return np.concatenate(rows) if rows else np.empty((0, 5))
+
+    def _balance(self, spots: list[Float]) -> Exposure:
+        """Exposures from the spots of all tiles."""
+        cameras = {c: k for k, c in enumerate(dict.fromkeys(v.camera for v in self.views))}
+        camera_of = np.array([cameras[v.camera] for v in self.views], dtype=np.intp)
+        s = np.concatenate([np.empty((0, 5)), *spots])
+        i, j = s[:, 0].astype(np.intp), s[:, 1].astype(np.intp)
+        return balance(i, j, s[:, 2], s[:, 3:], camera_of)
+
+    def _vote(self, look: _Look, exposure: Exposure) -> tuple[Single, Single, Single]:
+        """Balanced colours, weights and support of a tile's views."""
+        gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
+        colours = look.colours * np.exp(-gain)[..., None].astype(np.float32)
+        weights, support = np.empty_like(look.radii), np.empty_like(look.radii)
+        m = self.cells.map_from_pixel
+        kernels.vote(
+            colours,
+            look.radii,
+            self.cameras[look.views],
+            m[0, 2] + m[0, 0] * look.column,
+            m[1, 2] + m[1, 1] * look.row,
+            self.cells.resolution,
+            REACH_HEIGHTS,
+            LIKE,
+            weights,
+            support,
+        )
+        return colours, weights, support
+
+    def _tally(self, tile: tuple[int, int], exposure: Exposure) -> NDArray[np.int32]:
+        """Colour bins of a tile's sure ground and how often each occurs, (2, m)."""
+        look = self._look(tile)
+        if not len(look.views):
+            return np.empty((2, 0), np.int32)
+        colours, weights, support = self._vote(look, exposure)
+        best = support.argmax(axis=2)[..., None]
+        agreed = np.take_along_axis(support, best, axis=2)[..., 0]
+        total = weights.sum(axis=2)
+        sure = (agreed > SURE_SHARE * total) & (total > SURE_WEIGHT)
+        bins = colour_bins(np.take_along_axis(colours, best[..., None], axis=2)[sure, 0])
+        found, occurrences = np.unique(bins, return_counts=True)
+        return np.array([found, occurrences], dtype=np.int32)
+
+    def _judge(
+        self, tile: tuple[int, int], exposure: Exposure, likelihood: Single
+    ) -> tuple[_Look, NDArray[np.uint8], Single]:
+        """Clean weights (h, w, n) and log odds (h, w) of a tile, its margin cut off."""
+        look = self._look(tile)
+        inner = np.s_[MARGIN : len(look.radii) - MARGIN, MARGIN : look.radii.shape[1] - MARGIN]
+        clean = np.zeros_like(look.radii)
+        if not len(look.views):
+            return look, clean[inner].astype(np.uint8), np.zeros(clean[inner].shape[:2], np.float32)
+        colours, weights, support = self._vote(look, exposure)
+        seen = look.radii >= 0
+        known = likelihood[colour_bins(colours)]
+        support = _smooth(support + COLOUR_WEIGHT * known, seen)
+        kernels.agree(colours, look.radii, support, LIKE, FIT, clean)
+        # one direction alone cannot tell ground from the side of an obstacle; its colour helps
+        best = np.where(seen, support, -np.inf).argmax(axis=2)[..., None]
+        colour = np.take_along_axis(known, best, axis=2)[..., 0]
+        odds = LOG_ODDS * ((weights * (1.0 - 2.0 * clean)).sum(axis=2) - COLOUR_WEIGHT * colour)
+        odds[~seen.any(axis=2)] = 0.0
+        rounded = np.rint(255 * clean[inner]).astype(np.uint8)
+        return look, rounded, odds[inner].astype(np.float32)
+
+
+def _shift(column: int, row: int) -> Float:
+    """Matrix from pixels of a part to those of the whole."""
+    return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
+
+
+def _smooth(values: Single, seen: NDArray[np.bool_]) -> Single:
+    """Mean over the seen cells around each cell, view by view; (h, w, n)."""
+    size = (2 * MARGIN + 1, 2 * MARGIN + 1)
+    out = np.empty_like(values)
+    for k in range(values.shape[2]):
+        here = np.ascontiguousarray(seen[..., k], dtype=np.float32)
+        filled = np.where(seen[..., k], values[..., k], np.float32(0.0))
+        share = np.maximum(cv2.blur(here, size), np.float32(1e-6))
+        out[..., k] = cv2.blur(filled, size) / share
+    return out

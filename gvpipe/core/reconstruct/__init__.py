@@ -1,0 +1,1 @@
+"""From posed pictures to the obstacles' surfaces: evidence, energy, level sets, meshes."""

@@ -1,0 +1,205 @@
+"""What the bare ground would look like in a view: the background the obstacles stand out from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.kernels.background import ground_behind
+from gvpipe.core.types import Float, Image, PosedView
+
+REACH = 6.0
+"""Ground farther from a camera than this many of its heights shows no detail: not compared."""
+
+MOST_OTHERS = 24
+"""Views asked for the background of one: the nearest; the cost grows with their square."""
+
+
+@dataclass(frozen=True)
+class GroundModel:
+    """The ground as one picture seen from above, obstacles removed.
+
+    Attributes
+    ----------
+    raster : (h, w, 4) uint8
+        RGBA; alpha 0 where the ground was never seen.
+    map_from_pixel : (3, 3) float64
+        Takes homogeneous raster pixels (u, v, 1) to map coordinates on the ground, metres.
+    """
+
+    raster: NDArray[np.uint8]
+    map_from_pixel: Float
+
+
+@dataclass(frozen=True)
+class Background:
+    """The ground expected behind every pixel of one view.
+
+    Attributes
+    ----------
+    colour : (H, W, 3) float32
+        RGB 0..255; meaningless where not known.
+    known : (H, W) bool
+        True where the pixel's ray meets ground that the model holds.
+    """
+
+    colour: NDArray[np.float32]
+    known: NDArray[np.bool_]
+
+
+def rendered_background(view: PosedView, ground: GroundModel) -> Background:
+    """Render the ground model into a view (the B(H x) of thesis eq. 5.6.1)."""
+    height, width = view.pixels.shape[:2]
+    pixel_from_raster = pixel_from_plane(view.camera, view.map_from_camera) @ ground.map_from_pixel
+    # warping takes the raster as it is, so that the part of it behind the camera must be cut by
+    # the sign of the depth, which the warp itself does not see
+    raster_from_pixel = np.linalg.inv(pixel_from_raster)
+    rendered = cv2.warpPerspective(
+        ground.raster,
+        raster_from_pixel,
+        (width, height),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(0, 0, 0, 0),
+    )
+    known = (rendered[..., 3] == 255) & below_horizon(view)
+    return Background(rendered[..., :3].astype(np.float32), known)
+
+
+def below_horizon(view: PosedView) -> NDArray[np.bool_]:
+    """Which pixels' rays meet the ground, (H, W) bool."""
+    height, width = view.pixels.shape[:2]
+    ray_z = upward_rays(view)
+    u, v = np.arange(width)[None, :], np.arange(height)[:, None]
+    below: NDArray[np.bool_] = ray_z[0] * u + ray_z[1] * v + ray_z[2] < 0
+    return below
+
+
+@dataclass(frozen=True)
+class SeenGround:
+    """The ground behind every pixel of one view as the other views show it.
+
+    Attributes
+    ----------
+    colour : (H, W, 3) float32
+        The colour most views agree on.
+    support : (H, W) float32
+        Weight of the views that agree; 0 where none sees the ground.
+    open_weight, total_weight : (H, W) float32
+        Weight of the views from which no known obstacle hides the ground, and of all views.
+    """
+
+    colour: NDArray[np.float32]
+    support: NDArray[np.float32]
+    open_weight: NDArray[np.float32]
+    total_weight: NDArray[np.float32]
+
+
+@dataclass
+class GroundWitnesses:
+    """Posed pictures that can tell each other what the ground looks like.
+
+    Attributes
+    ----------
+    views : list of PosedView
+        With the pictures to compare (levelled, perhaps reduced).
+    hidden : (N, H, W) uint8
+        255 where an obstacle hides the ground in a picture; replaced as obstacles become known.
+    """
+
+    views: list[PosedView]
+    hidden: NDArray[np.uint8] = field(init=False)
+
+    def __post_init__(self) -> None:
+        sizes = [(v.camera.width, v.camera.height) for v in self.views]
+        self._sizes = np.array(sizes, dtype=np.int64)
+        width, height = self._sizes.max(axis=0)
+        self._images = np.zeros((len(sizes), height, width, 3), np.uint8)
+        for k, (w, h) in enumerate(sizes):
+            self._images[k, :h, :w] = self.views[k].pixels
+        self.hidden = np.zeros((len(sizes), height, width), np.uint8)
+        self._pixel_from_ground = np.stack(
+            [pixel_from_plane(v.camera, v.map_from_camera) for v in self.views]
+        )
+        self._centres = np.stack([v.map_from_camera.translation for v in self.views])
+
+    def hide(self, masks: Sequence[NDArray[np.uint8]]) -> None:
+        """Say where obstacles hide the ground: one mask a view, 0..255, of any size."""
+        for k, mask in enumerate(masks):
+            w, h = (int(a) for a in self._sizes[k])
+            self.hidden[k, :h, :w] = cv2.resize(mask, (w, h), interpolation=cv2.INTER_LINEAR)
+
+    def behind(self, index: int, colour_scale: float) -> SeenGround:
+        """Ask the other views for the ground behind one; colours closer than the scale agree."""
+        view = self.views[index]
+        shape = view.pixels.shape[:2]
+        seen = SeenGround(
+            np.zeros((*shape, 3), np.float32), *(np.zeros(shape, np.float32) for _ in range(3))
+        )
+        ground_behind(
+            index,
+            self._others(index),
+            self._images,
+            self.hidden,
+            self._sizes,
+            self._pixel_from_ground,
+            np.ascontiguousarray(np.linalg.inv(self._pixel_from_ground[index])),
+            upward_rays(view),
+            self._centres,
+            colour_scale,
+            REACH,
+            seen.colour,
+            seen.support,
+            seen.open_weight,
+            seen.total_weight,
+        )
+        return seen
+
+    def _others(self, index: int) -> NDArray[np.int64]:
+        """Return the views whose pictures centre on ground nearest to where this one does."""
+        aims = np.array([_aim(v) for v in self.views])
+        distance = np.hypot(*(aims - aims[index]).T)
+        order = np.argsort(distance, kind="stable")
+        return np.sort(order[order != index][:MOST_OTHERS])
+
+
+def _aim(view: PosedView) -> Float:
+    """Ground point, (2,) metres, that the optical axis meets, at most 3 camera heights ahead."""
+    axis, centre = view.map_from_camera.rotation[:, 2], view.map_from_camera.translation
+    level = float(np.hypot(axis[0], axis[1]))
+    reach = 3.0 * centre[2]
+    ahead = min(reach, centre[2] * level / -axis[2]) if axis[2] < 0 else reach
+    point: Float = centre[:2] + ahead * axis[:2] / max(level, 1e-9)
+    return point
+
+
+def upward_rays(view: PosedView) -> Float:
+    """(3,) numbers whose product with (u, v, 1) is the upward component of a pixel's ray."""
+    return np.asarray(view.map_from_camera.rotation[2] @ np.linalg.inv(view.camera.matrix))
+
+
+def reduced(view: PosedView, pixels: Image, factor: int) -> PosedView:
+    """Return the view with other pixels of the same size, made smaller by a whole factor."""
+    if factor == 1:
+        return replace(view, pixels=pixels)
+    camera = view.camera
+    width, height = camera.width // factor, camera.height // factor
+    small = cv2.resize(
+        pixels[: height * factor, : width * factor],
+        (width, height),
+        interpolation=cv2.INTER_AREA,
+    )
+    smaller = replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx / factor,
+        fy=camera.fy / factor,
+        cx=(camera.cx + 0.5) / factor - 0.5,
+        cy=(camera.cy + 0.5) / factor - 0.5,
+        skew=camera.skew / factor,
+    )
+    return replace(view, pixels=small.astype(np.uint8), camera=smaller)

@@ -1,0 +1,111 @@
+"""The two terms of the energy on a voxel grid, and where obstacles may stand at all."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.kernels.evidence import photo_consistency
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.hull import (
+    Region,
+    log_support,
+    pixel_from_map,
+    regions_of,
+    search_grid,
+    tolerant_hull,
+)
+from gvpipe.core.types import PosedView
+
+__all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_from_map"]
+
+REGION_TOLERANCE = 0.05
+"""Share of the views that may contradict a point where obstacles are looked for."""
+
+MARGIN = 3
+"""Coarse voxels between an obstacle and the border of its region."""
+
+Volume = NDArray[np.float32]
+"""(nx, ny, nz) float32 values at the voxel centres."""
+
+
+def hull_probability(
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    options: EvidenceOptions,
+) -> Volume:
+    """Probability that a point lies in an obstacle's visual hull (thesis eq. 5.6.3).
+
+    Views in which the point projects outside the picture or onto pixels of unknown background
+    are left out; a point that fewer than ``options.min_views`` can judge has probability 0.
+
+    Returns
+    -------
+    probability : (nx, ny, nz) float32
+        In 0..1.
+    """
+    log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
+    probability = np.exp(log_sum)
+    probability[count < options.min_views] = 0.0
+    height = grid.origin[2] + np.arange(grid.shape[2]) * grid.spacing[2]
+    above = 1.0 / (1.0 + np.exp(np.clip(-height / options.ground_softness, -50.0, 50.0)))
+    product: Volume = (probability * above).astype(np.float32)
+    return product
+
+
+def data_terms(
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    options: EvidenceOptions,
+) -> tuple[Volume, Volume]:
+    """Volume term and area weight of the energy (thesis eqs. 5.6.5 and 5.6.8).
+
+    Returns
+    -------
+    f : (nx, ny, nz) float32
+        ``0.5 - P``: negative inside obstacles, positive outside, zero at the surface, so that the
+        surface is driven from both sides (the printed ``-P`` leaves the outside without force).
+    g : (nx, ny, nz) float32
+        ``1 + Gamma`` with the mean over the views in Gamma, so that it stays positive: low where
+        the views agree about the colour.
+    """
+    f = (0.5 - hull_probability(views, silhouettes, grid, options)).astype(np.float32)
+    consent = np.zeros(grid.shape, np.float32)
+    width = max(v.camera.width for v in views)
+    height = max(v.camera.height for v in views)
+    images = np.zeros((len(views), height, width, 3), np.uint8)
+    sizes = np.array([[v.camera.width, v.camera.height] for v in views])
+    for k, view in enumerate(views):
+        images[k, : view.camera.height, : view.camera.width] = view.pixels
+    photo_consistency(
+        images,
+        sizes,
+        np.stack([pixel_from_map(v) for v in views]),
+        grid.origin,
+        grid.spacing,
+        options.consistency_scale,
+        options.min_views,
+        consent,
+    )
+    return f, np.maximum(1.0 - consent, options.area_floor).astype(np.float32)
+
+
+def find_regions(
+    views: Sequence[PosedView], silhouettes: Sequence[Silhouette], options: EvidenceOptions
+) -> list[Region]:
+    """Boxes of the map in which obstacles stand.
+
+    A coarse hull over all ground near the cameras is split into connected parts; parts that do
+    not reach the ground are dropped (nothing floats), boxes that touch are joined.
+
+    Returns
+    -------
+    regions : list of Region
+        Largest first; empty if nothing stands on the ground.
+    """
+    grid = search_grid(views)
+    inside = tolerant_hull(views, silhouettes, grid, options, REGION_TOLERANCE)
+    return regions_of(inside, grid, MARGIN)

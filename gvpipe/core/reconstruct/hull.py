@@ -1,0 +1,154 @@
+"""The visual hull of soft silhouettes: where obstacles may stand, and what they hide."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gvpipe.core.kernels.evidence import add_view_evidence
+from gvpipe.core.kernels.raycast import cast_mask
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.types import Float, PosedView
+
+Volume = NDArray[np.float32]
+Bool = NDArray[np.bool_]
+
+COARSE_VOXELS = 2_000_000
+"""Voxels of the search for regions: bounds its time to about a second for ten views."""
+
+COARSE_PER_HEIGHT = 50
+"""Voxels of that search per camera height: obstacles of a 25th of it are two voxels high."""
+
+RANGE_PER_HEIGHT = 2.5
+"""Ground farther than this many camera heights from all cameras is not searched."""
+
+SPECK = 27
+"""Voxels below which a part is noise: 3 across, on average."""
+
+STANDING_LAYERS = 3
+"""A part stands on the ground if it reaches down to one of this many lowest layers."""
+
+VIEW_SHARE = 0.2
+"""Share of the views that can see the best seen ground which must be able to judge a point."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """An axis-aligned box of the map in which an obstacle stands.
+
+    Attributes
+    ----------
+    lower, upper : (3,) float64
+        Corners, metres.
+    """
+
+    lower: Float
+    upper: Float
+
+
+def pixel_from_map(view: PosedView) -> Float:
+    """(3, 4) projection K [R | t] of the view (thesis eq. 5.5.1), third row the depth in metres."""
+    camera_from_map = view.map_from_camera.inverse()
+    matrix = view.camera.matrix @ np.column_stack(
+        [camera_from_map.rotation, camera_from_map.translation]
+    )
+    return np.ascontiguousarray(matrix)
+
+
+def log_support(
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    floor: float,
+) -> tuple[Volume, NDArray[np.uint8]]:
+    """Sum of the log probabilities of all views that can judge a voxel, and their number."""
+    log_sum = np.zeros(grid.shape, np.float32)
+    count = np.zeros(grid.shape, np.uint8)
+    for view, silhouette in zip(views, silhouettes, strict=True):
+        add_view_evidence(
+            silhouette, pixel_from_map(view), grid.origin, grid.spacing, floor, log_sum, count
+        )
+    return log_sum, count
+
+
+def tolerant_hull(
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    options: EvidenceOptions,
+    tolerance: float,
+) -> Bool:
+    """Voxels that at most a share of their views contradict, in parts that stand on the ground."""
+    log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
+    inside = log_sum > np.log(options.view_floor) * tolerance * count + np.log(0.5)
+    inside &= count >= max(options.min_views, VIEW_SHARE * int(count.max()))
+    return standing(inside)
+
+
+def standing(inside: Bool) -> Bool:
+    """Keep the connected parts that reach the ground and are more than specks."""
+    labels, count = ndimage.label(inside)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    keep = np.zeros(count + 1, bool)
+    low = np.unique(labels[:, :, :STANDING_LAYERS])
+    keep[low[sizes[low] >= SPECK]] = True
+    keep[0] = False
+    kept: Bool = keep[labels]
+    return kept
+
+
+def down_to_ground(inside: Bool) -> Bool:
+    """Fill everything below each voxel: under an obstacle no view can see the ground bare."""
+    filled: Bool = np.maximum.accumulate(inside[:, :, ::-1], axis=2)[:, :, ::-1]
+    return filled
+
+
+def render_mask(inside: Bool, grid: VoxelGrid, view: PosedView) -> NDArray[np.uint8]:
+    """Picture of the voxels in a view: 255 where a ray meets one, (H, W) uint8."""
+    mask = np.zeros((view.camera.height, view.camera.width), np.uint8)
+    pose = view.map_from_camera
+    map_from_ray = pose.rotation @ np.linalg.inv(view.camera.matrix)
+    cast_mask(inside, grid.origin, grid.spacing, map_from_ray, pose.translation, mask)
+    return mask
+
+
+def search_grid(views: Sequence[PosedView]) -> VoxelGrid:
+    """Coarse voxels over the ground within reach of the cameras, up to their median height."""
+    centres = np.array([v.map_from_camera.translation for v in views])
+    height = float(np.median(centres[:, 2]))
+    lower = centres.min(axis=0) - RANGE_PER_HEIGHT * height
+    upper = centres.max(axis=0) + RANGE_PER_HEIGHT * height
+    lower[2], upper[2] = 0.0, height
+    spacing = height / COARSE_PER_HEIGHT
+    spacing = max(spacing, float(np.cbrt(np.prod(upper - lower) / COARSE_VOXELS)))
+    return _cover(lower, upper, spacing)
+
+
+def regions_of(inside: Bool, grid: VoxelGrid, margin: int) -> list[Region]:
+    """Boxes around the parts of a coarse hull, grown by a margin of voxels; largest first."""
+    grown = ndimage.binary_dilation(inside, iterations=margin)
+    labels, _ = ndimage.label(grown)
+    regions = []
+    for box in ndimage.find_objects(labels):
+        low = np.array([s.start for s in box]) - 0.5
+        high = np.array([s.stop for s in box]) - 0.5
+        lower = grid.origin + low * grid.spacing
+        lower[2] = 0.0
+        regions.append(Region(lower, grid.origin + high * grid.spacing))
+    return sorted(regions, key=lambda r: -float(np.prod(r.upper - r.lower)))
+
+
+def region_grid(region: Region, voxels: int, finest: float) -> VoxelGrid:
+    """Cubic voxels over a region, at most about `voxels` of them and none below `finest` metres."""
+    size = region.upper - region.lower
+    spacing = max(finest, float(np.cbrt(np.prod(size) / voxels)))
+    return _cover(region.lower, region.upper, spacing)
+
+
+def _cover(lower: Float, upper: Float, spacing: float) -> VoxelGrid:
+    counts = np.maximum(np.ceil((upper - lower) / spacing).astype(int), 1)
+    shape = (int(counts[0]), int(counts[1]), int(counts[2]))
+    return VoxelGrid(lower + spacing / 2, np.full(3, spacing), shape)

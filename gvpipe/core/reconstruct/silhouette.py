@@ -1,0 +1,263 @@
+"""How likely each pixel of each view shows an obstacle rather than the ground."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.reconstruct.background import (
+    GroundModel,
+    GroundWitnesses,
+    SeenGround,
+    below_horizon,
+    reduced,
+    rendered_background,
+)
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.hull import (
+    down_to_ground,
+    region_grid,
+    regions_of,
+    render_mask,
+    search_grid,
+    tolerant_hull,
+)
+from gvpipe.core.reconstruct.likeness import GroundNoise, difference, features, learn_noise
+from gvpipe.core.reconstruct.photometry import levelled
+from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
+from gvpipe.core.types import PosedView
+
+__all__ = ["EvidenceOptions", "Silhouette", "silhouettes"]
+
+REDUCED_WIDTH = 400
+"""Pixels: the rounds before the last work on pictures reduced to about this width."""
+
+FIRST_SCALE = 20.0
+"""Levels within which colours of the same ground agree, before it is measured."""
+
+SCALE_RANGE = (12.0, 60.0)
+"""Levels: the measured scale stays in this range, between JPEG noise and any other colour."""
+
+CALIBRATION_VIEWS = 5
+"""Views that teach the noise of the ground; it depends on the ground more than on the view."""
+
+TAIL_SHARE, TAIL_FACTOR = 0.6, 2.5
+"""Quantile of the differences that is ground even where obstacles fill a third of the pictures,
+and its multiple at which obstacle and ground are equally likely."""
+
+GAIN_LIMIT = 1.5
+"""Largest log odds of one pixel: texture that happens to match must not outvote its area."""
+
+HALF_SUPPORT = 0.7
+"""Weight of agreeing views at which the ground behind a pixel is half certain."""
+
+FIRST_LEARNING = 2
+"""Times the colours of the first silhouette are learnt and applied: an obstacle's lower part,
+taken for ground at first, joins the upper one by its colour."""
+
+FIRST_GROUND_LIMIT = 0.4
+"""Largest log odds for ground while those colours are applied: a difference from the ground
+seldom lies, but what looks like ground may be an obstacle that all views see in its place."""
+
+AGREEING_SHARE = 0.4
+"""Share of the open views that must agree for the ground behind a pixel to be certain."""
+
+SPECK_SHARE = 0.02
+"""Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
+
+REGION_VOXELS = 600_000
+"""Voxels of one region when obstacles are asked what they hide."""
+
+FINE_PER_HEIGHT = 100
+"""Voxels per camera height in those regions, at most."""
+
+MARGIN = 4
+"""Coarse voxels around a region: its tolerant hull may still grow."""
+
+SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+"""Pixels by which the comparison window smears an obstacle's difference over its outline."""
+
+
+def silhouettes(
+    views: Sequence[PosedView], ground: GroundModel, options: EvidenceOptions, threads: int = 2
+) -> list[Silhouette]:
+    """Soft obstacle silhouettes of all views against the ground.
+
+    With ``options.background == "views"`` every view is compared with the ground as the other
+    views show it. What obstacles hide is found in rounds: silhouettes give a tolerant hull, the
+    hull says which views cannot see a ground point, and those lose their say.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+        Pictures with poses.
+    ground : GroundModel
+        The ground without obstacles; used with ``options.background == "mosaic"``, and where
+        there are too few views to tell each other.
+    options : EvidenceOptions
+        Scales and thresholds.
+    threads : int
+        Views worked on side by side; does not change the result.
+
+    Returns
+    -------
+    silhouettes : list of (H, W) float32
+        Probability that a pixel shows an obstacle, NaN where unknown (above the horizon, or the
+        ground there was never seen).
+    """
+    if options.background == "mosaic" or len(views) < options.min_views:
+        return [colour_silhouette(view, ground, options.colour_scale) for view in views]
+    pictures = levelled(views)
+    pairs = list(zip(views, pictures, strict=True))
+    small = GroundWitnesses([reduced(v, p, _reduction(v)) for v, p in pairs])
+    scale = _colour_scale(small)
+    with ThreadPoolExecutor(threads) as pool:
+        hidden: list[NDArray[np.uint8]] = []
+        for index, tolerance in enumerate(options.tolerances):
+            shapes = _round(small, scale, options, index == 0, pool)
+            first_half = index < (len(options.tolerances) + 1) // 2
+            hidden = _hidden(small.views, shapes, options, tolerance, first_half, pool)
+            small.hide(hidden)
+        full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
+        if hidden:
+            full.hide(hidden)
+        return _round(full, scale, options, not hidden, pool)
+
+
+def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
+    """Compare a view with the ground model colour by colour (thesis eqs. 5.6.1 and 5.6.2)."""
+    background = rendered_background(view, ground)
+    squared = ((view.pixels - background.colour) ** 2).sum(axis=-1)
+    probability = -np.expm1(-squared / colour_scale**2)
+    return np.where(background.known, probability, np.nan).astype(np.float32)
+
+
+def _reduction(view: PosedView) -> int:
+    return max(1, round(view.camera.width / REDUCED_WIDTH))
+
+
+def _spread(count: int, wanted: int) -> list[int]:
+    """Choose some of the views, evenly spread over all."""
+    return sorted({int(k) for k in np.linspace(0, count - 1, wanted)})
+
+
+def _colour_scale(witnesses: GroundWitnesses) -> float:
+    """Twice the median distance between a picture and its background, levels."""
+    distances = []
+    for k in _spread(len(witnesses.views), CALIBRATION_VIEWS):
+        seen = witnesses.behind(k, FIRST_SCALE)
+        known = seen.open_weight > 1.5
+        off = witnesses.views[k].pixels[known] - seen.colour[known]
+        if len(off):
+            distances.append(float(np.median(np.sqrt((off**2).sum(axis=-1)))))
+    return float(np.clip(2 * np.median(distances or [FIRST_SCALE]), *SCALE_RANGE))
+
+
+def _round(
+    witnesses: GroundWitnesses,
+    scale: float,
+    options: EvidenceOptions,
+    first: bool,
+    pool: ThreadPoolExecutor,
+) -> list[Silhouette]:
+    """Silhouettes of all views, given what is known to be hidden."""
+    some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
+    samples = [
+        features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
+            _every_other(seen.open_weight > 1.5)
+        )
+        for k, seen in zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True)
+    ]
+    noise = learn_noise(samples)
+    usual = np.concatenate([difference(f, noise)[0] for f in samples])
+    even = options.odds
+    if len(usual):  # gloss and uneven light make long tails: ask for more there
+        tail = TAIL_FACTOR * float(np.quantile(usual, TAIL_SHARE))
+        even = float(np.clip(tail, options.odds, 2 * options.odds))
+
+    def one(index: int) -> Silhouette:
+        seen = witnesses.behind(index, scale)
+        return _silhouette(witnesses.views[index], seen, noise, replace(options, odds=even), first)
+
+    return list(pool.map(one, range(len(witnesses.views))))
+
+
+def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    thin = np.zeros_like(where)
+    thin[1::2, 1::2] = where[1::2, 1::2]
+    return thin
+
+
+def _silhouette(
+    view: PosedView,
+    seen: SeenGround,
+    noise: GroundNoise,
+    options: EvidenceOptions,
+    first: bool,
+) -> Silhouette:
+    """Cut one view into obstacle and ground."""
+    known = seen.support > 0
+    gain = _gain(view, seen, noise, options)
+    region = segment(gain, view.pixels, options.outline)
+    if first:
+        weights = [options.first_colour_gain] * FIRST_LEARNING
+        unsure = np.ones_like(gain)
+        gain = np.maximum(gain, -FIRST_GROUND_LIMIT)
+    else:  # by now colours decide only where the ground behind is not known
+        weights, unsure = [options.colour_gain], 1 - np.clip(seen.support, 0, 1)
+    for weight in weights:
+        learnt = colour_gain(view.pixels, region, known, GAIN_LIMIT)
+        region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
+    region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
+    unknown = ~below_horizon(view) & (region <= 0.5)
+    return np.where(unknown, np.nan, region).astype(np.float32)
+
+
+def _gain(
+    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
+) -> NDArray[np.float32]:
+    """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
+    known = seen.support > 0
+    off, recognised = difference(features(view.pixels, seen.colour, known), noise)
+    eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
+    odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
+    agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
+    agreeing = np.clip(agreeing, 0, 1)
+    certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
+    # views thought not to see the ground that still agree on its texture do see it
+    certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
+    gain = np.where(known, odds * certain, 0)
+    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
+    return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
+
+
+def _hidden(
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    options: EvidenceOptions,
+    tolerance: float,
+    fill_down: bool,
+    pool: ThreadPoolExecutor,
+) -> list[NDArray[np.uint8]]:
+    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
+    coarse = search_grid(views)
+    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
+    solids = []
+    for region in regions_of(
+        tolerant_hull(views, shapes, coarse, options, tolerance), coarse, MARGIN
+    ):
+        grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
+        inside = tolerant_hull(views, shapes, grid, options, tolerance)
+        solids.append((down_to_ground(inside) if fill_down else inside, grid))
+
+    def one(index: int) -> NDArray[np.uint8]:
+        own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
+        mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
+        for inside, grid in solids:
+            mask = np.maximum(mask, render_mask(inside, grid, views[index]))
+        return mask
+
+    return list(pool.map(one, range(len(views))))

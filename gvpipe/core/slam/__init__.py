@@ -1,0 +1,1 @@
+"""From links between pictures to one metric map: placement, loops, adjustment, covariance."""

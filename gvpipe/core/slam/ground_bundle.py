@@ -1,0 +1,181 @@
+"""Adjustment of cameras over a plane: poses and ground points that explain the matches best."""
+
+import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix
+
+from gvpipe.core.kernels import bundle as kernels
+from gvpipe.core.slam.control import Control
+from gvpipe.core.slam.normal import Normal
+from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, prior_cost, prior_normal
+from gvpipe.core.slam.tracks import Index, Tracks
+from gvpipe.core.types import Float
+
+RELATIVE_GAIN = 1e-7
+"""The adjustment stops when a step lowers the cost by less than this share."""
+
+FIRST_DAMPING = 1e-4
+MAX_DAMPING = 1e8
+"""Share by which the diagonal is raised at first, and where the search for a step ends."""
+
+
+class Problem:
+    """One connected set of cameras with their tracks.
+
+    Position and heading of the `reference` camera are held, or nothing is where known ground
+    points fix the map instead.
+    """
+
+    def __init__(
+        self, rig: Rig, tracks: Tracks, reference: int, control: Control | None = None
+    ) -> None:
+        self.rig = rig
+        self.tracks = tracks
+        self.control = control
+        self.groups = int(rig.group.max()) + 1
+        n = len(rig.height)
+        lengths = np.diff(tracks.start)
+        first, second = _observation_pairs(tracks.start, lengths)
+        keys = tracks.camera[first] * n + tracks.camera[second]
+        block_keys, block = np.unique(keys, return_inverse=True)
+        self._pair_block = block.ravel().astype(np.int64)
+        self._row, self._column = block_keys // n, block_keys % n
+        held = 6 * reference + np.arange(3 if control is None else 0)
+        self.free = np.setdiff1d(np.arange(6 * n + 3 * self.groups), held).astype(np.int64)
+
+    def initial_points(self, cameras: Float) -> Float:
+        """Mean of where the observations of each track meet the ground, (T, 2) metres."""
+        rotation, _ = orientation(self.rig, cameras)
+        centre = centres(self.rig, cameras)
+        back = np.linalg.inv(self.rig.matrix @ rotation)
+        seen = np.column_stack([self.tracks.pixel, np.ones(len(self.tracks.pixel))])
+        ray = np.einsum("kij,kj->ki", back[self.tracks.camera], seen)
+        c = centre[self.tracks.camera]
+        down = np.maximum(-ray[:, 2], 1e-3 * np.linalg.norm(ray, axis=1))
+        ground = c[:, :2] + ray[:, :2] * (c[:, 2] / down)[:, None]
+        # a foreshortened view says little about where the point lies
+        weight = (down / np.linalg.norm(ray, axis=1)) ** 2 / c[:, 2]
+        total = np.add.reduceat(weight, self.tracks.start[:-1])
+        return np.add.reduceat(ground * weight[:, None], self.tracks.start[:-1]) / total[:, None]
+
+    def misfits(self, state: State) -> Float:
+        """Sum of the squared reprojection errors of each point, (T,) squared pixels."""
+        out = np.empty(len(state.points))
+        self._robust_cost(state, 1.0, out)
+        return out
+
+    def _robust_cost(self, state: State, loss_px: float, out: Float) -> float:
+        rotation, _ = orientation(self.rig, state.cameras)
+        return kernels.evaluate(
+            self.rig.matrix @ rotation,
+            centres(self.rig, state.cameras),
+            self.tracks.camera,
+            self.tracks.pixel,
+            self.tracks.start,
+            state.points,
+            loss_px,
+            out,
+        )
+
+    def cost(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> float:
+        """Robust data cost over the noise variance, plus the priors."""
+        data = self._robust_cost(state, loss_px, np.empty(len(state.points))) / noise_px**2
+        known = self.control.cost(self.rig, state.cameras) if self.control else 0.0
+        return float(data + known + prior_cost(self.rig, state, spread))
+
+    def minimise(
+        self, state: State, spread: Spread, loss_px: float, noise_px: float, steps: int
+    ) -> State:
+        """Levenberg-Marquardt from `state`, at most `steps` steps."""
+        damping = FIRST_DAMPING
+        cost = self.cost(state, spread, loss_px, noise_px)
+        for _ in range(steps):
+            normal, gradient, elimination = self._linearise(state, spread, loss_px, noise_px)
+            gained = 0.0
+            while damping < MAX_DAMPING:
+                try:
+                    step = normal.factor(damping).solve(-gradient)
+                except np.linalg.LinAlgError:
+                    damping *= 10.0
+                    continue
+                trial = self._moved(state, step, elimination)
+                trial_cost = self.cost(trial, spread, loss_px, noise_px)
+                if trial_cost <= cost:
+                    gained = cost - trial_cost
+                    state, cost = trial, trial_cost
+                    damping /= 10.0
+                    break
+                damping *= 10.0
+            if gained <= RELATIVE_GAIN * cost:
+                break
+        return state
+
+    def normal(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> Normal:
+        """Return the normal matrix of the cameras at `state`, the points eliminated."""
+        return self._linearise(state, spread, loss_px, noise_px)[0]
+
+    def _moved(self, state: State, step: Float, elimination: tuple[Float, Float, Float]) -> State:
+        n = len(state.cameras)
+        cameras = step[: 6 * n].reshape(n, 6)
+        points = kernels.move_points(
+            self.tracks.camera, self.tracks.start, state.points, cameras, *elimination
+        )
+        return State(state.cameras + cameras, state.means + step[6 * n :].reshape(-1, 3), points)
+
+    def _linearise(
+        self, state: State, spread: Spread, loss_px: float, noise_px: float
+    ) -> tuple[Normal, Float, tuple[Float, Float, Float]]:
+        n, m, t = len(state.cameras), len(self.tracks.camera), len(state.points)
+        rotation, turned = orientation(self.rig, state.cameras)
+        blocks, gradient = np.zeros((len(self._row), 6, 6)), np.zeros((n, 6))
+        coupling, inverse = np.empty((m, 6, 2)), np.empty((t, 2, 2))
+        point_gradient = np.empty((t, 2))
+        kernels.linearise(
+            self.rig.matrix @ rotation,
+            self.rig.matrix[:, None] @ turned,
+            centres(self.rig, state.cameras),
+            self.tracks.camera,
+            self.tracks.pixel,
+            self.tracks.start,
+            state.points,
+            loss_px,
+            self._pair_block,
+            blocks,
+            gradient,
+            coupling,
+            inverse,
+            point_gradient,
+        )
+        prior_matrix, prior_gradient = prior_normal(self.rig, state, spread)
+        total = np.concatenate([gradient.ravel() / noise_px**2, np.zeros(3 * self.groups)])
+        matrix = self._assemble(blocks / noise_px**2) + prior_matrix
+        if self.control:
+            known, pull = self.control.normal(self.rig, state.cameras, len(total))
+            matrix, total = matrix + known, total + pull
+        return (
+            Normal(csc_matrix(matrix), self.free),
+            total + prior_gradient,
+            (coupling, inverse, point_gradient),
+        )
+
+    def _assemble(self, blocks: Float) -> csc_matrix:
+        """Lay the upper blocks and their transposes out as one sparse matrix."""
+        n, size = len(self.rig.height), 6 * len(self.rig.height) + 3 * self.groups
+        upper = self._row != self._column
+        row = np.concatenate([self._row, self._column[upper], np.arange(n)])
+        column = np.concatenate([self._column, self._row[upper], np.arange(n)])
+        value = np.concatenate([blocks, blocks[upper].transpose(0, 2, 1), np.zeros((n, 6, 6))])
+        six = np.arange(6)
+        rows = np.broadcast_to(row[:, None, None] * 6 + six[None, :, None], value.shape)
+        columns = np.broadcast_to(column[:, None, None] * 6 + six[None, None, :], value.shape)
+        return csc_matrix(
+            coo_matrix((value.ravel(), (rows.ravel(), columns.ravel())), (size, size))
+        )
+
+
+def _observation_pairs(start: Index, lengths: Index) -> tuple[Index, Index]:
+    """All pairs (a <= b) of observations of a track, track by track, a slow and b fast."""
+    # observation k of its track pairs with itself and everything after it
+    after = np.repeat(start[1:], lengths) - np.arange(start[-1])
+    first = np.repeat(np.arange(start[-1]), after)
+    offset = np.arange(len(first)) - np.repeat(np.cumsum(after) - after, after)
+    return first.astype(np.int64), (first + offset).astype(np.int64)

@@ -1,0 +1,184 @@
+"""The location graph: images, the links between them, and the joint metric map they carry."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from gvpipe.core.geometry.pose import yaw_tilt_roll
+from gvpipe.core.slam.control import Control
+from gvpipe.core.slam.holding import MIN_POINTS, hold
+from gvpipe.core.slam.links import Link, robot_of
+from gvpipe.core.slam.map_part import MapOptions, Part, Views, adjust_part
+from gvpipe.core.slam.map_result import Gathered, JudgedLink, MapResult, PosedImage, SeenGround
+from gvpipe.core.slam.placements import Mask
+from gvpipe.core.slam.screening import screen
+from gvpipe.core.slam.tracks import Index
+from gvpipe.core.slam.transfer import median_error_px
+from gvpipe.core.types import Camera, Float, Mount
+
+__all__ = [
+    "ControlPoint",
+    "JudgedLink",
+    "Link",
+    "MapOptions",
+    "MapResult",
+    "PosedImage",
+    "SeenGround",
+    "build_map",
+]
+
+MIN_LIMIT_PX, MAX_LIMIT_PX = 1.0, 3.0
+STRAY = 5.0
+"""A link is wrong if the median transfer error of its matches under the map is above this many
+times that of the usual link, within these bounds in pixels."""
+
+REVISIONS = 4
+"""Rounds of adjusting the map and judging the links by it, at most."""
+
+
+@dataclass(frozen=True)
+class ControlPoint:
+    """A ground point whose place is known.
+
+    Attributes
+    ----------
+    image : str
+        Image that shows it.
+    pixel : (float, float)
+        Where, undistorted.
+    position : (float, float)
+        In the site frame, metres.
+    """
+
+    image: str
+    pixel: tuple[float, float]
+    position: tuple[float, float]
+
+
+def build_map(
+    cameras: Mapping[str, Camera],
+    mounts: Mapping[str, Mount],
+    order: Sequence[str],
+    links: Sequence[Link],
+    reference: str,
+    options: MapOptions,
+    control: Sequence[ControlPoint] = (),
+) -> MapResult:
+    """Pose all images of all robots in one metric map of the ground.
+
+    Parameters
+    ----------
+    cameras, mounts : mapping of image id to Camera, Mount
+        Intrinsics, and how each camera is held as far as configured.
+    order : sequence of str
+        All image ids, robot by robot, in the order they were taken.
+    links : sequence of Link
+        Matched images; some may be wrong.
+    reference : str
+        The map frame lies on the ground below this image's camera, x along its optical axis.
+    options : MapOptions
+        Priors.
+    control : sequence of ControlPoint
+        Known ground points; a component that shows two of them lies in their frame and scale.
+
+    Returns
+    -------
+    result : MapResult
+
+    Raises
+    ------
+    ValueError
+        If `reference` or an image of a link is not in `order`.
+    """
+    index = {image: k for k, image in enumerate(order)}
+    named = [x for link in links for x in (link.image_i, link.image_j)]
+    for image in (reference, *named, *(point.image for point in control)):
+        if image not in index:
+            raise ValueError(f"{image} is not among the images to map")
+    ends = np.array([(index[x.image_i], index[x.image_j]) for x in links], dtype=np.int64)
+    ends = ends.reshape(-1, 2)
+    group = _robots(order)
+    held = hold(links, ends, [cameras[x] for x in order], [mounts[x] for x in order], group)
+    usable = np.array([not reason for reason in held.reasons], dtype=bool)
+    views = Views([cameras[x] for x in order], held.expected, held.mounts, group)
+    screened = screen(links, ends, usable, views.cameras, views.held)
+    planar, keep = screened.planar, screened.keep
+    known = Control(
+        camera=np.array([index[p.image] for p in control], dtype=np.int64),
+        pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
+        position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
+    )
+    parts: list[Part] = []
+    for _ in range(REVISIONS):
+        parts = [
+            adjust_part(views, members, _inside(members, ends, links, keep), planar, options, known)
+            for members in _connected(len(order), index[reference], ends[keep])
+        ]
+        errors_px = _errors_px(views, parts, ends, links)
+        revised = np.where(np.isnan(errors_px), keep, errors_px <= _limit_px(errors_px[keep]))
+        if (revised == keep).all():
+            break
+        planar, keep = _planar(parts, planar), revised
+    return Gathered(order, views, parts, ends, links, keep).result(held.reasons, errors_px)
+
+
+def _robots(order: Sequence[str]) -> Index:
+    """Return the number of the robot of each image, (N,)."""
+    names: dict[str, int] = {}
+    return np.array([names.setdefault(robot_of(x), len(names)) for x in order], dtype=np.int64)
+
+
+def _connected(count: int, reference: int, ends: Index) -> list[Index]:
+    """Components of two images or more, the reference's first and the reference first in it."""
+    i, j = ends.T
+    graph = coo_matrix((np.ones(len(i)), (i, j)), (count, count))
+    _, label = connected_components(graph, directed=False)
+    home = int(label[reference])
+    others = [x for x in dict.fromkeys(label.tolist()) if x != home]
+    parts = [np.nonzero(label == x)[0].astype(np.int64) for x in (home, *others)]
+    parts[0] = np.append(reference, parts[0][parts[0] != reference])
+    return [part for part in parts if len(part) > 1 or count == 1]
+
+
+def _inside(
+    members: Index, ends: Index, links: Sequence[Link], keep: Mask
+) -> list[tuple[int, int, Link]]:
+    """Kept links between images of a component, with their images' numbers."""
+    which = np.nonzero(keep & np.isin(ends, members).all(axis=1))[0]
+    return [(int(ends[k, 0]), int(ends[k, 1]), links[k]) for k in which.tolist()]
+
+
+def _errors_px(views: Views, parts: list[Part], ends: Index, links: Sequence[Link]) -> Float:
+    """Median transfer error of each link under the map; NaN where the map cannot tell."""
+    pose = {
+        int(k): (number, p)
+        for number, part in enumerate(parts)
+        for k, p in zip(part.members, part.poses, strict=True)
+    }
+    errors = np.full(len(links), np.nan)
+    for k, (i, j) in enumerate(ends.tolist()):
+        if len(links[k].points_i) >= MIN_POINTS and i in pose and j in pose:
+            (part_i, pose_i), (part_j, pose_j) = pose[i], pose[j]
+            if part_i == part_j:
+                cameras = views.cameras[i], views.cameras[j]
+                errors[k] = median_error_px(links[k], cameras, (pose_i, pose_j))
+    return errors
+
+
+def _limit_px(errors_px: Float) -> float:
+    """Median transfer error above which a link is wrong, from those of the kept links."""
+    known = errors_px[np.isfinite(errors_px)]
+    usual = float(np.median(known)) if len(known) else MAX_LIMIT_PX
+    return float(np.clip(STRAY * usual, MIN_LIMIT_PX, MAX_LIMIT_PX))
+
+
+def _planar(parts: list[Part], planar: Float) -> Float:
+    """Positions and headings of the adjusted images, each component in its own frame."""
+    out = planar.copy()
+    for part in parts:
+        for k, p in zip(part.members, part.poses, strict=True):
+            out[k] = [p.translation[0], p.translation[1], yaw_tilt_roll(p.rotation)[0]]
+    return out

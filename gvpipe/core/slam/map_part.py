@@ -1,0 +1,221 @@
+"""One connected part of the map: its cameras adjusted in a frame of their own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.pose import robot_from_camera, rotation_matrix, yaw_tilt_roll
+from gvpipe.core.slam.adjustment import adjust, fixed_by, pose_covariances
+from gvpipe.core.slam.control import Control
+from gvpipe.core.slam.correlation import shared_errors
+from gvpipe.core.slam.ground_bundle import Problem
+from gvpipe.core.slam.links import Link
+from gvpipe.core.slam.rig import Rig, centres, orientation
+from gvpipe.core.slam.tracks import Index, Tracks, chain_matches
+from gvpipe.core.types import Camera, Float, Mount, Pose
+
+UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
+"""Uncertainty of a tilt that was not configured, radians: next to nothing is known."""
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """Priors of the adjustment.
+
+    Attributes
+    ----------
+    tilt_sigma, roll_sigma : float
+        Uncertainty of a robot's configured tilt and roll, radians.
+    scale_sigma : float
+        Relative uncertainty of a configured height, hence of the scale of the map.
+    height_sigma : float or None
+        Deviation of single pictures' heights from their robot's, metres; None: from the data.
+    """
+
+    tilt_sigma: float = float(np.radians(3.0))
+    roll_sigma: float = float(np.radians(3.0))
+    scale_sigma: float = 0.005
+    height_sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class Views:
+    """The images of a map by number.
+
+    Attributes
+    ----------
+    cameras, mounts : sequence of Camera, sequence of Mount
+        Intrinsics, and how each camera is expected to be held.
+    held : sequence of Mount
+        Starting values of how each was held.
+    group : (N,) int64
+        Number of the robot of each image.
+    """
+
+    cameras: Sequence[Camera]
+    mounts: Sequence[Mount]
+    held: Sequence[Mount]
+    group: Index
+
+
+@dataclass(frozen=True)
+class Part:
+    """An adjusted component.
+
+    Attributes
+    ----------
+    members : (M,) int64
+        Its images; the frame lies below the first one, x along its optical axis, or is that of
+        the known ground points.
+    poses : list of Pose
+        Camera to that frame.
+    covariances : (M, 6, 6) float64
+        Of (rotation vector, translation).
+    tracks : Tracks
+        What the adjustment rests on; its cameras are numbers within `members`.
+    points : (T, 2) float64
+        Ground points of the tracks in the component's frame, metres.
+    fixed : bool
+        Whether known ground points fix frame and scale.
+    """
+
+    members: Index
+    poses: list[Pose]
+    covariances: Float
+    tracks: Tracks
+    points: Float
+    fixed: bool = False
+
+
+def adjust_part(
+    views: Views,
+    members: Index,
+    links: Sequence[tuple[int, int, Link]],
+    planar: Float,
+    options: MapOptions,
+    control: Control,
+) -> Part:
+    """Adjust the cameras of one component.
+
+    Parameters
+    ----------
+    views : Views
+        All images.
+    members : (M,) int64
+        Images of the component, the one that defines its frame first.
+    links : sequence of (image i, image j, Link)
+        Links between them, which connect them all.
+    planar : (N, 3) float64
+        Rough position and heading of every image, in any common frame.
+    options : MapOptions
+        Priors.
+    control : Control
+        Known ground points; its cameras are numbers of images.
+
+    Returns
+    -------
+    part : Part
+    """
+    _, group = np.unique(views.group[members], return_inverse=True)
+    rig = Rig(
+        matrix=np.stack([views.cameras[k].matrix for k in members.tolist()]),
+        robot_from_camera=np.stack(
+            [robot_from_camera(views.mounts[k]).rotation for k in members.tolist()]
+        ),
+        height=np.array([views.mounts[k].height for k in members.tolist()]),
+        group=group.ravel().astype(np.int64),
+    )
+    start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
+    slot = {int(k): n for n, k in enumerate(members)}
+    tracks = chain_matches(
+        [(slot[i], slot[j]) for i, j, _ in links],
+        [(link.points_i, link.points_j) for _, _, link in links],
+    )
+    if not links:
+        none = np.zeros((len(members), 6, 6))
+        return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
+    problem = Problem(rig, tracks, 0)
+    adjusted = adjust(
+        problem,
+        start,
+        _mean_sigma(views, members, rig.group, options),
+        None if options.height_sigma is None else options.height_sigma / float(rig.height.mean()),
+    )
+    own = _own(control, slot)
+    turn = _turn(rig, adjusted.state.cameras)
+    if own.fixes_the_map:
+        adjusted, problem = fixed_by(adjusted, problem, own)
+        turn = np.eye(3)
+    poses = _poses(rig, adjusted.state.cameras, turn)
+    plane = [pixel_from_plane(views.cameras[k], p) for k, p in zip(members, poses, strict=True)]
+    shared = shared_errors(
+        (plane[slot[j]] @ np.linalg.inv(plane[slot[i]]), link.points_i, link.points_j)
+        for i, j, link in links
+    )
+    return Part(
+        members,
+        poses,
+        pose_covariances(problem, adjusted, 0, shared),
+        tracks,
+        adjusted.state.points @ turn[:2, :2].T,
+        own.fixes_the_map,
+    )
+
+
+def _own(control: Control, slot: dict[int, int]) -> Control:
+    """Known points in images of a component, with their numbers within it."""
+    which = np.array([k for k, image in enumerate(control.camera.tolist()) if image in slot], int)
+    camera = np.array([slot[k] for k in control.camera[which].tolist()], dtype=np.int64)
+    return Control(camera, control.pixel[which], control.position[which])
+
+
+def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:
+    """Uncertainty (G, 3) of each robot's configured leans and height."""
+    robots = int(group.max()) + 1
+    sigma = np.tile([options.tilt_sigma, options.roll_sigma, options.scale_sigma], (robots, 1))
+    for k, g in zip(members.tolist(), group.tolist(), strict=True):
+        if not views.mounts[k].tilt_known:
+            sigma[g, 0] = UNKNOWN_TILT_SIGMA
+    return sigma
+
+
+def _start(rig: Rig, held: Sequence[Mount], planar: Float) -> Float:
+    """Set up the unknowns (M, 6) of the adjustment, in the frame of the first robot."""
+    start = np.zeros((len(held), 6))
+    start[:, :3] = _seen_from(planar[0], planar)
+    for k, mount in enumerate(held):
+        # as a turn about a level axis, then a heading: what lies upright tells the axis
+        turned = robot_from_camera(mount).rotation @ rig.robot_from_camera[k].T
+        up = turned[2]
+        sine = np.hypot(up[0], up[1])
+        angle = np.arctan2(sine, up[2])
+        level = np.array([up[1], -up[0], 0.0]) * (angle / sine if sine > 1e-12 else 1.0)
+        heading = turned @ rotation_matrix(level).T
+        start[k, 2] += np.arctan2(heading[1, 0], heading[0, 0])
+        start[k, 3:5] = level[1], level[0]
+        start[k, 5] = np.log(mount.height / rig.height[k])
+    # the first camera's heading is held at zero
+    start[:, :3] = _seen_from(start[0, :3], start[:, :3])
+    return start
+
+
+def _seen_from(origin: Float, planar: Float) -> Float:
+    """Positions and headings (N, 3) in the frame of one of them, (3,)."""
+    c, s = np.cos(origin[2]), np.sin(origin[2])
+    moved = (planar[:, :2] - origin[:2]) @ np.array([[c, -s], [s, c]])
+    return np.column_stack([moved, planar[:, 2] - origin[2]])
+
+
+def _turn(rig: Rig, cameras: Float) -> Float:
+    """Rotation (3, 3) about the vertical that brings the axis of camera 0 to x."""
+    angle = -yaw_tilt_roll(orientation(rig, cameras)[0][0].T)[0]
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _poses(rig: Rig, cameras: Float, turn: Float) -> list[Pose]:
+    """Poses in a frame turned about the vertical."""
+    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
+    return [Pose(turn @ r, turn @ t) for r, t in zip(rotation, centres(rig, cameras), strict=True)]

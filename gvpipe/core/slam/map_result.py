@@ -1,0 +1,177 @@
+"""What the joint map says of every image and every link."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gvpipe.core.slam.closure import Closure, closures
+from gvpipe.core.slam.links import Link
+from gvpipe.core.slam.map_part import Part, Views
+from gvpipe.core.slam.placements import Mask
+from gvpipe.core.slam.tracks import Index, Tracks
+from gvpipe.core.slam.transfer import residual_m
+from gvpipe.core.types import Float, Pose
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """An image in the map.
+
+    Attributes
+    ----------
+    map_from_camera : Pose
+        Camera to map, metres.
+    covariance : (6, 6) float64
+        Of (rotation vector, translation): the true pose is ``exp(rotation vector) R`` and
+        ``t + translation``, both in map axes; radians and metres.
+    component : int
+        Maps that are not connected have different numbers; 0 holds the reference.
+    """
+
+    map_from_camera: Pose
+    covariance: Float
+    component: int
+
+
+@dataclass(frozen=True)
+class SeenGround:
+    """Ground points of one component, and where they were seen.
+
+    Attributes
+    ----------
+    images : tuple of image ids
+        What the cameras of the tracks stand for.
+    tracks : Tracks
+        Observed pixels.
+    points : (T, 2) float64
+        In the map, metres.
+    fixed : bool
+        Whether known ground points fix the component's frame and scale.
+    """
+
+    images: tuple[str, ...]
+    tracks: Tracks
+    points: Float
+    fixed: bool
+
+
+@dataclass(frozen=True)
+class JudgedLink:
+    """What the map says about a link.
+
+    Attributes
+    ----------
+    kept : bool
+        Whether the map rests on it.
+    residual_m : float or None
+        Median distance on the ground between the two placements of its matches, metres; None
+        where its images are not in one component.
+    reason : str
+        Why it was left out; empty if kept.
+    """
+
+    kept: bool
+    residual_m: float | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class MapResult:
+    """The joint map.
+
+    Attributes
+    ----------
+    poses : dict of image id to PosedImage
+        Registered images, in the given order.
+    links : tuple of JudgedLink
+        One for each link given, in the same order.
+    components : tuple of tuples of image ids
+        Maps that hang together; the first holds the reference if that is linked to anything.
+    unregistered : tuple of (image id, reason)
+        Images without a pose.
+    closures : tuple of Closure
+        Closing errors of the plain concatenation beside those of the map.
+    ground : tuple of SeenGround
+        What each component rests on.
+    """
+
+    poses: dict[str, PosedImage]
+    links: tuple[JudgedLink, ...]
+    components: tuple[tuple[str, ...], ...]
+    unregistered: tuple[tuple[str, str], ...]
+    closures: tuple[Closure, ...]
+    ground: tuple[SeenGround, ...]
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Everything known when the map stands, to be told by image and by link."""
+
+    order: Sequence[str]
+    views: Views
+    parts: list[Part]
+    ends: Index
+    links: Sequence[Link]
+    keep: Mask
+
+    def result(self, reasons: list[str], errors_px: Float) -> MapResult:
+        """Gather poses, judged links and what could not be registered."""
+        posed = {
+            int(k): PosedImage(pose, covariance, number)
+            for number, part in enumerate(self.parts)
+            for k, pose, covariance in zip(part.members, part.poses, part.covariances, strict=True)
+        }
+        poses = {image: posed[k] for k, image in enumerate(self.order) if k in posed}
+        return MapResult(
+            poses=poses,
+            links=tuple(
+                self._judged(k, posed, reasons[k], float(errors_px[k]))
+                for k in range(len(self.links))
+            ),
+            components=tuple(
+                tuple(self.order[k] for k in np.sort(part.members).tolist()) for part in self.parts
+            ),
+            unregistered=self._unregistered(posed),
+            closures=closures(
+                [link for link, kept in zip(self.links, self.keep, strict=True) if kept],
+                {image: p.map_from_camera for image, p in poses.items()},
+                dict(zip(self.order, self.views.cameras, strict=True)),
+            ),
+            ground=tuple(
+                SeenGround(
+                    tuple(self.order[k] for k in part.members.tolist()),
+                    part.tracks,
+                    part.points,
+                    part.fixed,
+                )
+                for part in self.parts
+            ),
+        )
+
+    def _judged(
+        self, k: int, posed: Mapping[int, PosedImage], reason: str, error_px: float
+    ) -> JudgedLink:
+        """Say what the map makes of link k."""
+        i, j = self.ends[k].tolist()
+        together = i in posed and j in posed and posed[i].component == posed[j].component
+        residual = None
+        if together and len(self.links[k].points_i):
+            residual = residual_m(
+                self.links[k],
+                (self.views.cameras[i], self.views.cameras[j]),
+                (posed[i].map_from_camera, posed[j].map_from_camera),
+            )
+        if self.keep[k]:
+            return JudgedLink(True, residual, "")
+        if not reason and np.isfinite(error_px):
+            reason = f"contradicts the map: its matches miss by {error_px:.1f} px (median)"
+        return JudgedLink(False, residual, reason or "contradicts the other links")
+
+    def _unregistered(self, posed: Mapping[int, PosedImage]) -> tuple[tuple[str, str], ...]:
+        """Images without a pose, and why."""
+        touched = set(self.ends.ravel().tolist())
+        why = {True: "none of its links can be used", False: "no link to another image"}
+        return tuple(
+            (image, why[k in touched]) for k, image in enumerate(self.order) if k not in posed
+        )

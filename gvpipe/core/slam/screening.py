@@ -1,0 +1,99 @@
+"""First look at the links: where they place the images, and which of them agree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gvpipe.core.slam.consistency import agree
+from gvpipe.core.slam.links import Link
+from gvpipe.core.slam.placement import Placement, place
+from gvpipe.core.slam.placements import Mask, Placements
+from gvpipe.core.slam.tracks import Index
+from gvpipe.core.types import Camera, Float, Mount
+
+TOLERANCE = 0.02
+"""Share of the camera height by which two placements of the same ground may differ at least."""
+
+TRUST = {"odometry": 4.0, "loop": 1.0, "overlap": 1.0}
+"""Weight in the vote on contradictions: a robot's next picture nearly always shows the same
+ground, while loops and overlaps are found by resemblance."""
+
+HALF_TRUST_POINTS = 50.0
+"""Matches at which a link has half the weight of one with very many."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """Rough positions, and the links that carry them.
+
+    Attributes
+    ----------
+    planar : (N, 3) float64
+        x, y (metres) and heading (radians) of every robot; a frame for each connected part.
+    keep : (E,) bool
+        Links that agree with each other.
+    """
+
+    planar: Float
+    keep: Mask
+
+
+def screen(
+    links: Sequence[Link],
+    ends: Index,
+    usable: Mask,
+    cameras: Sequence[Camera],
+    mounts: Sequence[Mount],
+) -> Screened:
+    """Place all images roughly on the ground and find the links that contradict each other.
+
+    Parameters
+    ----------
+    links : sequence of Link
+        E links.
+    ends : (E, 2) int64
+        Numbers of their images.
+    usable : (E,) bool
+        Links that could be motions over the ground.
+    cameras, mounts : sequence of Camera, sequence of Mount
+        The N views, held as each picture shows.
+
+    Returns
+    -------
+    screened : Screened
+    """
+    placed: list[Placement] = []
+    used = []
+    for k in np.nonzero(usable)[0].tolist():
+        i, j = ends[k].tolist()
+        link, pair = links[k], (cameras[i], cameras[j])
+        placement = place(link.points_i, link.points_j, pair, (mounts[i], mounts[j]))
+        if placement is not None and placement.radius > 0:
+            placed.append(placement)
+            used.append(k)
+    which = np.array(used, dtype=np.int64)
+    heights = np.array([mount.height for mount in mounts])
+    planar, agrees = agree(_placements(links, placed, which, ends, heights), len(mounts))
+    keep = np.zeros(len(links), dtype=bool)
+    keep[which] = agrees
+    return Screened(planar, keep)
+
+
+def _placements(
+    links: Sequence[Link], placed: list[Placement], used: Index, ends: Index, heights: Float
+) -> Placements:
+    """Lay the placements of the used links out as arrays."""
+    count = np.array([len(links[k].points_i) for k in used.tolist()], dtype=np.float64)
+    kind = np.array([TRUST[links[k].kind] for k in used.tolist()])
+    misfit = np.array([p.misfit for p in placed])
+    return Placements(
+        i=ends[used, 0],
+        j=ends[used, 1],
+        centre_i=np.array([p.centre_i for p in placed]).reshape(-1, 2),
+        centre_j=np.array([p.centre_j for p in placed]).reshape(-1, 2),
+        turn=np.array([p.turn for p in placed]),
+        radius=np.array([p.radius for p in placed]),
+        tolerance=np.hypot(TOLERANCE * heights[ends[used, 0]], misfit),
+        trust=kind * count / (count + HALF_TRUST_POINTS),
+    )
