@@ -17,6 +17,7 @@ from gvpipe.core.reconstruct.background import (
     rendered_background,
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.hull import (
     down_to_ground,
     region_grid,
@@ -64,6 +65,12 @@ seldom lies, but what looks like ground may be an obstacle that all views see in
 
 AGREEING_SHARE = 0.4
 """Share of the open views that must agree for the ground behind a pixel to be certain."""
+
+LEAST_OPEN = 0.5
+"""Weight of views from which nothing known hides the ground, from which on it counts as seen."""
+
+LEAST_GAIN = 0.5
+"""Mean measured log odds, over a silhouette's pixels with ground seen behind, of an obstacle."""
 
 SPECK_SHARE = 0.02
 """Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
@@ -124,7 +131,7 @@ def silhouettes(
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
             full.hide(hidden)
-        return _round(full, scale, options, not hidden, pool)
+        return without_ghosts(views, _round(full, scale, options, not hidden, pool), options)
 
 
 def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
@@ -213,13 +220,41 @@ def _silhouette(
         region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
     region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
     unknown = ~below_horizon(view) & (region <= 0.5)
+    unknown |= _guessed(region, _measured_gain(view, seen, noise, options), seen)
     return np.where(unknown, np.nan, region).astype(np.float32)
+
+
+def _guessed(
+    region: Silhouette, measured: NDArray[np.float32], seen: SeenGround
+) -> NDArray[np.bool_]:
+    """Parts of a region that hardly differ from ground that other views do see there.
+
+    They were filled in by colours, or because earlier rounds thought the ground hidden: guesses
+    that would prove each other.
+    """
+    bare = seen.open_weight > LEAST_OPEN
+    count, labels = cv2.connectedComponents((region > 0.5).astype(np.uint8), connectivity=4)
+    pixels = np.bincount(labels[bare], minlength=count)
+    total = np.bincount(labels[bare], weights=measured[bare], minlength=count)
+    guessed = total <= LEAST_GAIN * pixels
+    guessed[0] = False
+    found: NDArray[np.bool_] = guessed[labels]
+    return found
 
 
 def _gain(
     view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
 ) -> NDArray[np.float32]:
     """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
+    gain = _measured_gain(view, seen, noise, options)
+    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
+    return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
+
+
+def _measured_gain(
+    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
+) -> NDArray[np.float32]:
+    """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0
     off, recognised = difference(features(view.pixels, seen.colour, known), noise)
     eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
@@ -229,9 +264,7 @@ def _gain(
     certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
     # views thought not to see the ground that still agree on its texture do see it
     certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
-    gain = np.where(known, odds * certain, 0)
-    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
-    return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
+    return np.where(known, odds * certain, 0).astype(np.float32)
 
 
 def _hidden(

@@ -1,0 +1,69 @@
+"""Silhouettes that only meet by chance: bodies that no obstacle needs to explain the pictures."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.hull import render_mask, search_grid, tolerant_hull
+from gvpipe.core.types import PosedView
+
+TOLERANCE = 0.05
+"""Share of the views that may contradict a body."""
+
+APART = 0.5
+"""Share of a body's picture, agreeing and not explained by others, that makes a view its witness."""
+
+BORDER = 7
+"""Pixels by which explained pictures are grown: the coarse hull's outline is rough."""
+
+Masks = list[NDArray[np.bool_]]
+
+
+def without_ghosts(
+    views: Sequence[PosedView], shapes: Sequence[Silhouette], options: EvidenceOptions
+) -> list[Silhouette]:
+    """Clear from the silhouettes what only ghosts explain.
+
+    Where the cones of several obstacles' silhouettes cross, the hull has bodies besides the
+    obstacles; at the rim of the map a few accidental silhouettes make others. Bodies are
+    accepted in the order of the silhouette pixels they explain; one that fewer than
+    ``options.min_views`` views see apart from those accepted before it is a ghost.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    shapes : sequence of (H, W) float32
+        Silhouettes, NaN where unknown.
+    options : EvidenceOptions
+
+    Returns
+    -------
+    cleaned : list of (H, W) float32
+        0 where the silhouette shows a ghost and no accepted body.
+    """
+    grid = search_grid(views)
+    labels, count = ndimage.label(tolerant_hull(views, shapes, grid, options, TOLERANCE))
+    bodies = [[render_mask(labels == k, grid, v) > 0 for v in views] for k in range(1, count + 1)]
+    agreed = [
+        [m & (s > 0.5) for m, s in zip(masks, shapes, strict=True)] for masks in bodies
+    ]
+    order = sorted(range(count), key=lambda k: -sum(int(a.sum()) for a in agreed[k]))
+    explained: Masks = [np.zeros(s.shape, bool) for s in shapes]
+    ghostly: Masks = [np.zeros(s.shape, bool) for s in shapes]
+    for k in order:
+        witnesses = sum(
+            bool((a & ~e).sum() > APART * m.sum())
+            for m, a, e in zip(bodies[k], agreed[k], explained, strict=True)
+        )
+        into = explained if witnesses >= options.min_views else ghostly
+        for mask, body in zip(into, bodies[k], strict=True):
+            mask |= body
+    around = np.ones((BORDER, BORDER), np.uint8)
+    return [
+        np.where(g & (cv2.dilate(e.astype(np.uint8), around) == 0), np.float32(0), s)
+        for s, e, g in zip(shapes, explained, ghostly, strict=True)
+    ]
