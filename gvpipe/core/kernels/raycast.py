@@ -11,15 +11,15 @@ STRIDE = 0.7
 
 
 @kernel
-def cast_mask(
+def cast_depth(
     occupied: NDArray[np.bool_],
     origin: Float,
     spacing: Float,
     map_from_ray: Float,
     centre: Float,
-    mask: NDArray[np.uint8],
+    depth: NDArray[np.float32],
 ) -> None:
-    """Set the pixels of a view whose ray meets an occupied voxel to 255.
+    """Fill where each ray of a view first meets an occupied voxel.
 
     Parameters
     ----------
@@ -31,14 +31,16 @@ def cast_mask(
         Ray direction in the map from a homogeneous pixel.
     centre : (3,) float64
         Camera centre in the map, metres.
-    mask : (h, w) uint8
-        Changed in place.
+    depth : (h, w) float32
+        Filled: multiples of the ray, which is the depth if the ray's own is 1; infinite where it
+        meets nothing.
     """
-    height, width = mask.shape
+    height, width = depth.shape
     lower = origin - spacing / 2
     upper = lower + spacing * np.array(occupied.shape)
     for v in range(height):
         for u in range(width):
+            depth[v, u] = np.inf
             direction = map_from_ray[:, 0] * u + map_from_ray[:, 1] * v + map_from_ray[:, 2]
             start, end = 0.0, np.inf
             for k in range(3):
@@ -61,6 +63,6 @@ def cast_mask(
                     and 0 <= k < occupied.shape[2]
                 )
                 if inside and occupied[i, j, k]:
-                    mask[v, u] = 255
+                    depth[v, u] = t
                     break
                 t += step

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gvpipe.core.kernels.evidence import add_view_evidence
-from gvpipe.core.kernels.raycast import cast_mask
+from gvpipe.core.kernels.raycast import cast_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.types import Float, PosedView
@@ -108,11 +108,16 @@ def down_to_ground(inside: Bool) -> Bool:
 
 def render_mask(inside: Bool, grid: VoxelGrid, view: PosedView) -> NDArray[np.uint8]:
     """Picture of the voxels in a view: 255 where a ray meets one, (H, W) uint8."""
-    mask = np.zeros((view.camera.height, view.camera.width), np.uint8)
+    return np.isfinite(entry_depth(inside, grid, view)).astype(np.uint8) * np.uint8(255)
+
+
+def entry_depth(inside: Bool, grid: VoxelGrid, view: PosedView) -> Volume:
+    """Depth, (H, W) float32 metres, at which a view's rays enter the voxels; else infinite."""
+    depth = np.empty((view.camera.height, view.camera.width), np.float32)
     pose = view.map_from_camera
     map_from_ray = pose.rotation @ np.linalg.inv(view.camera.matrix)
-    cast_mask(inside, grid.origin, grid.spacing, map_from_ray, pose.translation, mask)
-    return mask
+    cast_depth(inside, grid.origin, grid.spacing, map_from_ray, pose.translation, depth)
+    return depth
 
 
 def search_grid(views: Sequence[PosedView]) -> VoxelGrid:
