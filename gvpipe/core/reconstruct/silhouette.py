@@ -19,6 +19,7 @@ from gvpipe.core.reconstruct.background import (
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.hull import (
+    Solid,
     down_to_ground,
     region_grid,
     regions_of,
@@ -28,6 +29,7 @@ from gvpipe.core.reconstruct.hull import (
 )
 from gvpipe.core.reconstruct.likeness import GroundNoise, difference, features, learn_noise
 from gvpipe.core.reconstruct.photometry import levelled
+from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
 from gvpipe.core.types import PosedView
 
@@ -123,15 +125,19 @@ def silhouettes(
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[NDArray[np.uint8]] = []
+        raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
-            shapes = _round(small, scale, options, index == 0, pool)
+            shapes = _round(small, scale, options, raised, index == 0, pool)
+            solids = _solids(small.views, shapes, options, tolerance)
             first_half = index < (len(options.tolerances) + 1) // 2
-            hidden = _hidden(small.views, shapes, options, tolerance, first_half, pool)
+            hidden = _hidden(small.views, shapes, solids, first_half, pool)
             small.hide(hidden)
+            raised = raised or raised_surfaces(small.views, solids, threads)
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
             full.hide(hidden)
-        return without_ghosts(views, _round(full, scale, options, not hidden, pool), options)
+        shapes = _round(full, scale, options, raised, not hidden, pool)
+    return without_ghosts(views, shapes, options)
 
 
 def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
@@ -167,10 +173,11 @@ def _round(
     witnesses: GroundWitnesses,
     scale: float,
     options: EvidenceOptions,
+    raised: Sequence[NDArray[np.float32]],
     first: bool,
     pool: ThreadPoolExecutor,
 ) -> list[Silhouette]:
-    """Silhouettes of all views, given what is known to be hidden."""
+    """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
     samples = [
         features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
@@ -186,8 +193,10 @@ def _round(
         even = float(np.clip(tail, options.odds, 2 * options.odds))
 
     def one(index: int) -> Silhouette:
-        seen = witnesses.behind(index, scale)
-        return _silhouette(witnesses.views[index], seen, noise, replace(options, odds=even), first)
+        view, seen = witnesses.views[index], witnesses.behind(index, scale)
+        size = (view.camera.width, view.camera.height)
+        extra = GAIN_LIMIT * cv2.resize(raised[index], size) if raised else np.zeros(1, np.float32)
+        return _silhouette(view, seen, noise, replace(options, odds=even), extra, first)
 
     return list(pool.map(one, range(len(witnesses.views))))
 
@@ -203,11 +212,12 @@ def _silhouette(
     seen: SeenGround,
     noise: GroundNoise,
     options: EvidenceOptions,
+    extra: NDArray[np.float32],
     first: bool,
 ) -> Silhouette:
     """Cut one view into obstacle and ground."""
     known = seen.support > 0
-    gain = _gain(view, seen, noise, options)
+    gain = _gain(view, seen, noise, options) + extra
     region = segment(gain, view.pixels, options.outline)
     if first:
         weights = [options.first_colour_gain] * FIRST_LEARNING
@@ -267,30 +277,40 @@ def _measured_gain(
     return np.where(known, odds * certain, 0).astype(np.float32)
 
 
-def _hidden(
+def _solids(
     views: Sequence[PosedView],
     shapes: Sequence[Silhouette],
     options: EvidenceOptions,
     tolerance: float,
-    fill_down: bool,
-    pool: ThreadPoolExecutor,
-) -> list[NDArray[np.uint8]]:
-    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
+) -> list[Solid]:
+    """Tolerant hulls of the silhouettes, one for each region they stand in."""
     coarse = search_grid(views)
     height = float(np.median([v.map_from_camera.translation[2] for v in views]))
     solids = []
     for region in regions_of(
-        tolerant_hull(views, shapes, coarse, options, tolerance), coarse, MARGIN
+        tolerant_hull(views, shapes, coarse, options, tolerance, grounded=False), coarse, MARGIN
     ):
         grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
-        inside = tolerant_hull(views, shapes, grid, options, tolerance)
-        solids.append((down_to_ground(inside) if fill_down else inside, grid))
+        inside = tolerant_hull(views, shapes, grid, options, tolerance, grounded=False)
+        solids.append(Solid(inside, grid))
+    return solids
+
+
+def _hidden(
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    solids: Sequence[Solid],
+    fill_down: bool,
+    pool: ThreadPoolExecutor,
+) -> list[NDArray[np.uint8]]:
+    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
 
     def one(index: int) -> NDArray[np.uint8]:
         own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
         mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
-        for inside, grid in solids:
-            mask = np.maximum(mask, render_mask(inside, grid, views[index]))
+        for solid in solids:
+            inside = down_to_ground(solid.inside) if fill_down else solid.inside
+            mask = np.maximum(mask, render_mask(inside, solid.grid, views[index]))
         return mask
 
     return list(pool.map(one, range(len(views))))
