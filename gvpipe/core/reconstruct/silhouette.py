@@ -125,14 +125,13 @@ def silhouettes(
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[NDArray[np.uint8]] = []
-        raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
-            shapes = _round(small, scale, options, raised, index == 0, pool)
+            shapes = _round(small, scale, options, [], index == 0, pool)
             solids = _solids(small.views, shapes, options, tolerance)
             first_half = index < (len(options.tolerances) + 1) // 2
             hidden = _hidden(small.views, shapes, solids, first_half, pool)
             small.hide(hidden)
-            raised = raised or raised_surfaces(small.views, solids, threads)
+        raised = raised_surfaces(small.views, solids, threads) if hidden else []
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
             full.hide(hidden)
