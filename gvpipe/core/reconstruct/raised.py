@@ -16,7 +16,7 @@ AROUND = 5
 whose colours are those of the ground."""
 
 PATCH = np.ones((3, 3), np.uint8)
-"""Depths within this of others are left out: patches reach across outlines."""
+"""Raised surfaces are shrunk by a pixel: patches reach across outlines."""
 
 FLAT, RAISED = 0.01, 0.03
 """Heights, as shares of the camera's, up to which a surface is ground, and from which it is not."""
@@ -73,4 +73,4 @@ def _side(found: DepthMap) -> NDArray[np.float32]:
     up, flat = np.zeros(found.depth.shape, np.float32), np.zeros(found.depth.shape, np.float32)
     up[v, u] = (relative > RAISED) * found.confidence[v, u]
     flat[v, u] = (relative < FLAT) * found.confidence[v, u]
-    return np.asarray(cv2.erode(up, PATCH) - cv2.erode(flat, PATCH), np.float32)
+    return np.asarray(cv2.erode(up, PATCH) - flat, np.float32)

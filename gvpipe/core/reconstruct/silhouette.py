@@ -125,13 +125,13 @@ def silhouettes(
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[NDArray[np.uint8]] = []
+        raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
-            shapes = _round(small, scale, options, [], index == 0, pool)
+            shapes = _round(small, scale, options, raised, index == 0, pool)
             solids = _solids(small.views, shapes, options, tolerance)
-            first_half = index < (len(options.tolerances) + 1) // 2
-            hidden = _hidden(small.views, shapes, solids, first_half, pool)
+            hidden = _hidden(small.views, shapes, solids, pool)
             small.hide(hidden)
-        raised = raised_surfaces(small.views, solids, threads) if hidden else []
+            raised = raised_surfaces(small.views, solids, threads)
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
             full.hide(hidden)
@@ -299,7 +299,6 @@ def _hidden(
     views: Sequence[PosedView],
     shapes: Sequence[Silhouette],
     solids: Sequence[Solid],
-    fill_down: bool,
     pool: ThreadPoolExecutor,
 ) -> list[NDArray[np.uint8]]:
     """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
@@ -308,8 +307,8 @@ def _hidden(
         own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
         mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
         for solid in solids:
-            inside = down_to_ground(solid.inside) if fill_down else solid.inside
-            mask = np.maximum(mask, render_mask(inside, solid.grid, views[index]))
+            below = down_to_ground(solid.inside)
+            mask = np.maximum(mask, render_mask(below, solid.grid, views[index]))
         return mask
 
     return list(pool.map(one, range(len(views))))
