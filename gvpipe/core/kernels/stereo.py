@@ -29,7 +29,7 @@ FACING = 0.15
 """Least cosine between a plane's normal and the line of sight."""
 
 STARTS = 10
-"""Random hypotheses each pixel starts from."""
+"""Random hypotheses every other pixel of every other row starts from; the rest hear of them."""
 
 LIKE = 0.35
 """Cost, 1 - correlation, up to which a depth counts."""
@@ -40,7 +40,7 @@ RIVALS, RIVAL_STEP = 6, 0.02
 DISTINCT = 0.15
 """How much worse all of them must be."""
 
-TRIES = 3
+TRIES = 2
 """Random refinements of a pixel's best hypothesis in each sweep."""
 
 
@@ -230,6 +230,8 @@ def match_depths(
                 if sweep > 0:
                     best, best_depth = cost[v, u], depth[v, u]
                 tries = STARTS if sweep == 0 else TRIES + 2
+                if sweep == 0 and (u + v) % 2 + v % 2 > 0:
+                    tries = 0
                 for k in range(tries):
                     if sweep == 0:
                         d = low + (high - low) * _random(state)

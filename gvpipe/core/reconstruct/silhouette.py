@@ -27,7 +27,14 @@ from gvpipe.core.reconstruct.hull import (
     search_grid,
     tolerant_hull,
 )
-from gvpipe.core.reconstruct.likeness import GroundNoise, difference, features, learn_noise
+from gvpipe.core.reconstruct.likeness import (
+    Features,
+    GroundNoise,
+    difference,
+    features,
+    learn_noise,
+    without_gloss,
+)
 from gvpipe.core.reconstruct.photometry import levelled
 from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
@@ -179,7 +186,7 @@ def _round(
     """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
     samples = [
-        features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
+        _compared(witnesses.views[k], seen).pick(
             _every_other(seen.open_weight > 1.5)
         )
         for k, seen in zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True)
@@ -200,6 +207,12 @@ def _round(
     return list(pool.map(one, range(len(witnesses.views))))
 
 
+def _compared(view: PosedView, seen: SeenGround) -> Features:
+    """Compare a view with the ground in the view's own light."""
+    ground = without_gloss(view.pixels, seen.colour, seen.support)
+    return features(view.pixels, ground, seen.support > 0)
+
+
 def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
     thin = np.zeros_like(where)
     thin[1::2, 1::2] = where[1::2, 1::2]
@@ -216,7 +229,9 @@ def _silhouette(
 ) -> Silhouette:
     """Cut one view into obstacle and ground."""
     known = seen.support > 0
-    gain = _gain(view, seen, noise, options) + extra
+    measured = _measured_gain(view, seen, noise, options)
+    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
+    gain = measured + options.hidden_gain * hidden.astype(np.float32) + extra
     region = segment(gain, view.pixels, options.outline)
     if first:
         weights = [options.first_colour_gain] * FIRST_LEARNING
@@ -229,7 +244,7 @@ def _silhouette(
         region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
     region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
     unknown = ~below_horizon(view) & (region <= 0.5)
-    unknown |= _guessed(region, _measured_gain(view, seen, noise, options), seen)
+    unknown |= _guessed(region, measured, seen)
     return np.where(unknown, np.nan, region).astype(np.float32)
 
 
@@ -251,21 +266,12 @@ def _guessed(
     return found
 
 
-def _gain(
-    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
-) -> NDArray[np.float32]:
-    """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
-    gain = _measured_gain(view, seen, noise, options)
-    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
-    return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
-
-
 def _measured_gain(
     view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
 ) -> NDArray[np.float32]:
     """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0
-    off, recognised = difference(features(view.pixels, seen.colour, known), noise)
+    off, recognised = difference(_compared(view, seen), noise)
     eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
     odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
