@@ -65,8 +65,8 @@ def cast_depth(
             dz = step * direction[2] / spacing[2]
             while t < end:
                 i, j, k = int(x), int(y), int(z)
-                if i < nx and j < ny and k < nz and x >= 0 and y >= 0 and z >= 0:
-                    if occupied[i, j, k]:
-                        depth[v, u] = t
-                        break
+                inside = i < nx and j < ny and k < nz and x >= 0 and y >= 0 and z >= 0
+                if inside and occupied[i, j, k]:
+                    depth[v, u] = t
+                    break
                 t, x, y, z = t + step, x + dx, y + dy, z + dz

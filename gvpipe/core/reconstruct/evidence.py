@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.evidence import photo_consistency
-from gvpipe.core.kernels.stereo import fuse_depth
+from gvpipe.core.kernels.fusion import fuse_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.hull import (
@@ -26,6 +26,9 @@ __all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_fr
 
 REGION_TOLERANCE = 0.05
 """Share of the views that may contradict a point where obstacles are looked for."""
+
+SURE_VIEWS, FAILING_SHARE = 12, 0.1
+"""Views that must all agree, and the share of further ones whose silhouettes may fail."""
 
 LEAST_BAND_M, BAND_VOXELS = 0.01, 2.0
 """Half width of the band in which a depth speaks for its surface, metres and voxels: the scatter
@@ -47,7 +50,9 @@ def hull_probability(
     """Probability that a point lies in an obstacle's visual hull (thesis eq. 5.6.3).
 
     Views in which the point projects outside the picture or onto pixels of unknown background
-    are left out; a point that fewer than ``options.min_views`` can judge has probability 0.
+    are left out; a point that fewer than ``options.min_views`` can judge has probability 0. The
+    product of many views would let the worst of them carve: beyond ``SURE_VIEWS`` a share of the
+    further ones may contradict.
 
     Returns
     -------
@@ -55,7 +60,8 @@ def hull_probability(
         In 0..1.
     """
     log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
-    probability = np.exp(log_sum)
+    failing = FAILING_SHARE * np.maximum(count.astype(np.float32) - SURE_VIEWS, 0)
+    probability = np.exp(np.minimum(log_sum - np.log(options.view_floor) * failing, 0))
     probability[count < options.min_views] = 0.0
     height = grid.origin[2] + np.arange(grid.shape[2]) * grid.spacing[2]
     above = 1.0 / (1.0 + np.exp(np.clip(-height / options.ground_softness, -50.0, 50.0)))
@@ -147,7 +153,8 @@ def _depth_votes(
             m.depth, m.confidence, pixel_from_map(m.view), grid.origin, grid.spacing, band, votes,
             weight,
         )  # fmt: skip
-    return votes / np.maximum(weight, 1e-6), np.minimum(weight, 1)
+    free = votes / np.maximum(weight, 1e-6)
+    return np.asarray(free, np.float32), np.asarray(np.minimum(weight, 1), np.float32)
 
 
 def find_regions(

@@ -15,7 +15,8 @@ TOLERANCE = 0.05
 """Share of the views that may contradict a body."""
 
 APART = 0.5
-"""Share of a body's picture, agreeing and not explained by others, that makes a view its witness."""
+"""Share of a body's picture that must agree and not be explained by others for a view to be its
+witness."""
 
 BORDER = 7
 """Pixels by which explained pictures are grown: the coarse hull's outline is rough."""
@@ -48,9 +49,7 @@ def without_ghosts(
     grid = search_grid(views)
     labels, count = ndimage.label(tolerant_hull(views, shapes, grid, options, TOLERANCE))
     bodies = [[render_mask(labels == k, grid, v) > 0 for v in views] for k in range(1, count + 1)]
-    agreed = [
-        [m & (s > 0.5) for m, s in zip(masks, shapes, strict=True)] for masks in bodies
-    ]
+    agreed = [[m & (s > 0.5) for m, s in zip(masks, shapes, strict=True)] for masks in bodies]
     order = sorted(range(count), key=lambda k: -sum(int(a.sum()) for a in agreed[k]))
     explained: Masks = [np.zeros(s.shape, bool) for s in shapes]
     ghostly: Masks = [np.zeros(s.shape, bool) for s in shapes]

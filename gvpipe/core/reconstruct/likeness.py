@@ -158,7 +158,7 @@ def learn_noise(samples: Sequence[Features]) -> GroundNoise:
 
 
 def without_gloss(picture: Image, background: Single, weight: Single) -> Single:
-    """Bring the background to the picture's smooth light: gloss and soft shadows move with the view.
+    """Bring the background to the picture's light: gloss and soft shadows move with the view.
 
     Parameters
     ----------

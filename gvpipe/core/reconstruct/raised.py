@@ -53,7 +53,9 @@ def raised_surfaces(
     entries = [[entry_depth(s.inside, s.grid, v) for v in views] for s in grown]
     for k, solid in enumerate(grown):
         first = [
-            np.where(entries[k][i] <= np.min([e[i] for e in entries], axis=0), entries[k][i], np.inf)
+            np.where(
+                entries[k][i] <= np.min([e[i] for e in entries], axis=0), entries[k][i], np.inf
+            )
             for i in range(len(views))
         ]
         near = [d.astype(np.float32) for d in first]

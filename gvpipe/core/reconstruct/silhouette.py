@@ -18,15 +18,7 @@ from gvpipe.core.reconstruct.background import (
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.ghosts import without_ghosts
-from gvpipe.core.reconstruct.hull import (
-    Solid,
-    down_to_ground,
-    region_grid,
-    regions_of,
-    render_mask,
-    search_grid,
-    tolerant_hull,
-)
+from gvpipe.core.reconstruct.hiding import hidden_ground, tolerant_solids
 from gvpipe.core.reconstruct.likeness import (
     Features,
     GroundNoise,
@@ -84,15 +76,6 @@ LEAST_GAIN = 0.5
 SPECK_SHARE = 0.02
 """Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
 
-REGION_VOXELS = 600_000
-"""Voxels of one region when obstacles are asked what they hide."""
-
-FINE_PER_HEIGHT = 100
-"""Voxels per camera height in those regions, at most."""
-
-MARGIN = 4
-"""Coarse voxels around a region: its tolerant hull may still grow."""
-
 SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 """Pixels by which the comparison window smears an obstacle's difference over its outline."""
 
@@ -135,8 +118,8 @@ def silhouettes(
         raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
             shapes = _round(small, scale, options, raised, index == 0, pool)
-            solids = _solids(small.views, shapes, options, tolerance)
-            hidden = _hidden(small.views, shapes, solids, pool)
+            solids = tolerant_solids(small.views, shapes, options, tolerance)
+            hidden = hidden_ground(small.views, shapes, solids, pool)
             small.hide(hidden)
             raised = raised_surfaces(small.views, solids, threads)
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
@@ -186,9 +169,7 @@ def _round(
     """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
     samples = [
-        _compared(witnesses.views[k], seen).pick(
-            _every_other(seen.open_weight > 1.5)
-        )
+        _compared(witnesses.views[k], seen).pick(_every_other(seen.open_weight > 1.5))
         for k, seen in zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True)
     ]
     noise = learn_noise(samples)
@@ -280,41 +261,3 @@ def _measured_gain(
     # views thought not to see the ground that still agree on its texture do see it
     certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
     return np.where(known, odds * certain, 0).astype(np.float32)
-
-
-def _solids(
-    views: Sequence[PosedView],
-    shapes: Sequence[Silhouette],
-    options: EvidenceOptions,
-    tolerance: float,
-) -> list[Solid]:
-    """Tolerant hulls of the silhouettes, one for each region they stand in."""
-    coarse = search_grid(views)
-    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
-    solids = []
-    for region in regions_of(
-        tolerant_hull(views, shapes, coarse, options, tolerance, grounded=False), coarse, MARGIN
-    ):
-        grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
-        inside = tolerant_hull(views, shapes, grid, options, tolerance, grounded=False)
-        solids.append(Solid(inside, grid))
-    return solids
-
-
-def _hidden(
-    views: Sequence[PosedView],
-    shapes: Sequence[Silhouette],
-    solids: Sequence[Solid],
-    pool: ThreadPoolExecutor,
-) -> list[NDArray[np.uint8]]:
-    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
-
-    def one(index: int) -> NDArray[np.uint8]:
-        own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
-        mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
-        for solid in solids:
-            below = down_to_ground(solid.inside)
-            mask = np.maximum(mask, render_mask(below, solid.grid, views[index]))
-        return mask
-
-    return list(pool.map(one, range(len(views))))

@@ -112,9 +112,7 @@ def depth_maps(
     with ThreadPoolExecutor(threads) as pool:
         found = list(pool.map(one, range(len(views))))
     depths = [np.where(cost < LIKE, depth, 0).astype(np.float32) for depth, cost in found]
-    return [
-        DepthMap(view, depths[k], _confirmed(k, views, depths)) for k, view in enumerate(views)
-    ]
+    return [DepthMap(view, depths[k], _confirmed(k, views, depths)) for k, view in enumerate(views)]
 
 
 def ground_depth(view: PosedView) -> NDArray[np.float32]:
@@ -127,7 +125,7 @@ def ground_depth(view: PosedView) -> NDArray[np.float32]:
 
 
 def _sources(index: int, views: Sequence[PosedView], middle: Float) -> NDArray[np.int64]:
-    """Views that see the obstacle from the nearest, but different, directions."""
+    """Choose the views that see the obstacle from the nearest, but different, directions."""
     lines = np.array([v.map_from_camera.translation - middle for v in views])
     lines /= np.linalg.norm(lines, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(lines @ lines[index], -1, 1)))
