@@ -14,6 +14,7 @@ from gvpipe.core.reconstruct.background import (
     SeenGround,
     below_horizon,
     reduced,
+    reduction,
     rendered_background,
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
@@ -33,9 +34,6 @@ from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_s
 from gvpipe.core.types import PosedView
 
 __all__ = ["EvidenceOptions", "Silhouette", "silhouettes"]
-
-REDUCED_WIDTH = 400
-"""Pixels: the rounds before the last work on pictures reduced to about this width."""
 
 FIRST_SCALE = 20.0
 """Levels within which colours of the same ground agree, before it is measured."""
@@ -111,7 +109,7 @@ def silhouettes(
         return [colour_silhouette(view, ground, options.colour_scale) for view in views]
     pictures = levelled(views)
     pairs = list(zip(views, pictures, strict=True))
-    small = GroundWitnesses([reduced(v, p, _reduction(v)) for v, p in pairs])
+    small = GroundWitnesses([reduced(v, p, reduction(v)) for v, p in pairs])
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[NDArray[np.uint8]] = []
@@ -135,10 +133,6 @@ def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float)
     squared = ((view.pixels - background.colour) ** 2).sum(axis=-1)
     probability = -np.expm1(-squared / colour_scale**2)
     return np.where(background.known, probability, np.nan).astype(np.float32)
-
-
-def _reduction(view: PosedView) -> int:
-    return max(1, round(view.camera.width / REDUCED_WIDTH))
 
 
 def _spread(count: int, wanted: int) -> list[int]:
@@ -168,9 +162,10 @@ def _round(
 ) -> list[Silhouette]:
     """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
+    asked = dict(zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True))
     samples = [
         _compared(witnesses.views[k], seen).pick(_every_other(seen.open_weight > 1.5))
-        for k, seen in zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True)
+        for k, seen in asked.items()
     ]
     noise = learn_noise(samples)
     usual = np.concatenate([difference(f, noise)[0] for f in samples])
@@ -180,7 +175,8 @@ def _round(
         even = float(np.clip(tail, options.odds, 2 * options.odds))
 
     def one(index: int) -> Silhouette:
-        view, seen = witnesses.views[index], witnesses.behind(index, scale)
+        view, seen = witnesses.views[index], asked.pop(index, None)
+        seen = seen or witnesses.behind(index, scale)
         size = (view.camera.width, view.camera.height)
         extra = GAIN_LIMIT * cv2.resize(raised[index], size) if raised else np.zeros(1, np.float32)
         return _silhouette(view, seen, noise, replace(options, odds=even), extra, first)

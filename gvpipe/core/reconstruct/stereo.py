@@ -9,12 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.stereo import LIKE, match_depths
-from gvpipe.core.reconstruct.background import reduced, upward_rays
+from gvpipe.core.reconstruct.background import reduced, reduction, upward_rays
 from gvpipe.core.types import Float, PosedView
-
-WORK_WIDTH = 400
-"""Pictures are reduced to about this width: depths then are as fine as a few millimetres at arm's
-length, and the cost grows with the square."""
 
 SOURCES = 4
 """Views each one is compared with."""
@@ -52,8 +48,8 @@ class DepthMap:
 
 
 def work_view(view: PosedView) -> PosedView:
-    """Reduce a view to the size at which depths are matched."""
-    return reduced(view, view.pixels, max(1, round(view.camera.width / WORK_WIDTH)))
+    """Reduce a view to the size at which depths are matched, to millimetres at arm's length."""
+    return reduced(view, view.pixels, reduction(view))
 
 
 def depth_maps(
