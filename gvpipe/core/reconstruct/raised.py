@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -14,9 +13,6 @@ from gvpipe.core.types import PosedView
 AROUND = 5
 """Voxels by which the hulls are grown before depths are matched in them: silhouettes lack parts
 whose colours are those of the ground."""
-
-PATCH = np.ones((3, 3), np.uint8)
-"""Raised surfaces are shrunk by a pixel: patches reach across outlines."""
 
 FLAT, RAISED = 0.01, 0.03
 """Heights, as shares of the camera's, up to which a surface is ground, and from which it is not."""
@@ -72,7 +68,6 @@ def _side(found: DepthMap) -> NDArray[np.float32]:
     rays = np.linalg.inv(camera.matrix) @ np.stack([u, v, np.ones_like(u)])
     height = pose.rotation[2] @ rays * found.depth[v, u] + pose.translation[2]
     relative = height / pose.translation[2]
-    up, flat = np.zeros(found.depth.shape, np.float32), np.zeros(found.depth.shape, np.float32)
-    up[v, u] = (relative > RAISED) * found.confidence[v, u]
-    flat[v, u] = (relative < FLAT) * found.confidence[v, u]
-    return np.asarray(cv2.erode(up, PATCH) - flat, np.float32)
+    side = np.zeros(found.depth.shape, np.float32)
+    side[v, u] = (1.0 * (relative > RAISED) - 1.0 * (relative < FLAT)) * found.confidence[v, u]
+    return side

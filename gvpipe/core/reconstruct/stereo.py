@@ -18,7 +18,7 @@ SOURCES = 4
 CLOSEST_DEG = 4.0
 """Views that look at an obstacle from nearly the same direction tell no depth."""
 
-SWEEPS = 3
+SWEEPS = 4
 """Passes of propagation and refinement; later ones change little."""
 
 AGREE = 0.01
