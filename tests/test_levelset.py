@@ -285,6 +285,25 @@ def test_a_thin_pole_is_not_lost_on_coarse_levels(width: int) -> None:
     assert (np.diff([e for _, e in result.energy]) <= 0).all()
 
 
+@pytest.mark.parametrize("gap", [1, 2, 3])
+def test_a_start_close_to_the_faces_is_driven_in_on_coarse_levels(gap: int) -> None:
+    x, y, z = np.meshgrid(*[np.arange(n, dtype=float) for n in (72, 72, 56)], indexing="ij")
+    d = np.sqrt((x - 30) ** 2 + (y - 40) ** 2 + (z - 20) ** 2) - 12
+    f = (0.5 * np.tanh(d)).astype(np.float32)
+    g = np.full_like(f, 0.3)
+    u0 = np.full(f.shape, -1, np.float32)
+    u0[gap:-gap, gap:-gap, :-gap] = 1
+    seen: list[tuple[int, int]] = []
+    result = evolve(
+        u0, f, g, np.ones(3), iterations=2000, levels=3,
+        on_iteration=lambda iteration, u: seen.append((iteration, int((u > 0).sum()))),
+    )  # fmt: skip
+    # half of the way within the first looks, which are at coarse levels
+    assert min(inside for iteration, inside in seen if iteration < 100) < 0.5 * (u0 > 0).sum()
+    assert result.iterations < 200
+    assert (result.u > 0).sum() == pytest.approx((d < 0).sum(), rel=0.08)
+
+
 def test_axes_are_treated_alike() -> None:
     _, f, g, u0 = two_boxes()
     plain = evolve(u0, f, g, np.ones(3), iterations=60, levels=1).u

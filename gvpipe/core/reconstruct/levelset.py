@@ -136,6 +136,28 @@ def _check(u0: Volume, f: Volume, g: Volume, evolution: str) -> None:
         raise ValueError(f"unknown evolution {evolution!r}: volume or layers")
 
 
+FACES = (
+    (slice(1),),
+    (slice(-1, None),),
+    (slice(None), slice(1)),
+    (slice(None), slice(-1, None)),
+    (slice(None), slice(None), slice(2)),
+    (slice(None), slice(None), slice(-2, None)),
+)
+"""The six faces of a padded grid."""
+
+
+def _keep_clear(coarse: Volume, fine: Volume, depth: np.float32) -> None:
+    """Take coarse voxels out of the inside along faces of the grid that the fine inside avoids.
+
+    A surface between a face and the centres of the coarse voxels behind it would be lost: the
+    inside would reach out of the grid there, and nothing drives it back.
+    """
+    for face in FACES:
+        if (fine[face] <= 0).all():
+            np.minimum(coarse[face], -depth, out=coarse[face])
+
+
 @dataclass
 class _Descent:
     """The evolution on all levels: the best surface so far and how its energy fell."""
@@ -180,6 +202,8 @@ class _Descent:
         u = self.best
         for _ in range(level):
             u = halve(u)
+        if level:
+            _keep_clear(u, self.best, np.float32(self.spacing.min() * 2 ** (level - 1)))
         return u
 
     def _band(self, level: int, weights: tuple[Volume, Volume], u: Volume) -> NarrowBand:
