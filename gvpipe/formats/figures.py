@@ -22,6 +22,9 @@ for lines."""
 SEQUENTIAL = np.array([[0, 0, 0], [255, 255, 255]])
 """Dark for small values, bright for large ones."""
 
+BRUSH = np.ones((3, 3), np.uint8)
+"""What outlines are drawn with: a pixel on either side."""
+
 BAR_HEIGHT = 10
 """Pixels of the bar that shows the colours from the smallest to the largest value."""
 
@@ -94,9 +97,7 @@ def layer_picture(
     for outline, colour in zip(outlines, LINES[-len(outlines) :], strict=True):
         u = cv2.resize(_from_above(outline), (width, height), interpolation=cv2.INTER_LINEAR)
         inside = (u > 0).astype(np.uint8)
-        rim = cv2.dilate(inside, np.ones((3, 3), np.uint8)) != cv2.erode(
-            inside, np.ones((2, 2), np.uint8)
-        )
+        rim = cv2.dilate(inside, BRUSH) != cv2.erode(inside, BRUSH)
         colours[rim] = colour
     picture = np.full((side + BAR_HEIGHT + GAP, side, 3), 255, np.uint8)
     top, left = (side - height) // 2, (side - width) // 2
