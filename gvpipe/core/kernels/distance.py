@@ -58,8 +58,8 @@ def _eikonal(out: Flat, u: Flat, rows: Cross, n: Place, inv: Scale) -> None:
         b, d, p, q, r = b - a, d - a, p * p, q * q, r * r
         one = np.float32(1) / np.sqrt(p)
         two = (q * b + np.sqrt(max(p + q - p * q * b * b, zero))) / (p + q)
-        m, n = p + q + r, q * b + r * d
-        three = (n + np.sqrt(max(n * n - m * (q * b * b + r * d * d - np.float32(1)), zero))) / m
+        t, w = p + q + r, q * b + r * d
+        three = (w + np.sqrt(max(w * w - t * (q * b * b + r * d * d - np.float32(1)), zero))) / t
         rise = one if one <= b else (two if two <= d else three)
         out[c + k] = here if at_front else s * (a + rise)
 
