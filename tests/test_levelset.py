@@ -96,21 +96,39 @@ def test_rotation_keeps_the_area_to_first_order() -> None:
     assert fine < 0.6 * coarse
 
 
+def star(x: Array, y: Array) -> Array:
+    return np.hypot(x, y) - (0.5 + 0.2 * np.cos(7 * np.arctan2(y, x)))
+
+
 def test_a_star_turns_round_under_curvature_then_shrinks() -> None:
     (x, y), h = lattice(101, 2)
-    angle = np.arctan2(y, x)
-    phi = np.hypot(x, y) - (0.5 + 0.2 * np.cos(7 * angle))
+    phi = star(x, y)
 
     def roundness(values: Array) -> float:
         rim = np.hypot(x, y)[np.abs(values) < h]
         return float(rim.std() / rim.mean())
 
-    before = roundness(phi)
+    before, area = roundness(phi), (phi < 0).sum() * h * h
     for _ in range(1500):
         phi = step_by_curvature(phi, 1.0, h, 0.1 * h * h)
     assert before > 0.2
+    # the total curvature of any closed curve is 2 pi, so its area falls at that rate
+    assert area - (phi < 0).sum() * h * h == pytest.approx(2 * np.pi * 150 * h * h, rel=0.03)
     assert roundness(phi) < 0.05
     assert 0.2 < radius_of(phi, h) < 0.5
+
+
+def test_a_star_that_grows_along_its_normal_stays_at_that_distance_from_where_it_was() -> None:
+    (x, y), h = lattice(201, 2, 1.2)
+    fine = np.linspace(-1.2, 1.2, 801)
+    inside = star(*np.meshgrid(fine, fine, indexing="ij")) < 0
+    outside = ndimage.distance_transform_edt(~inside) - 0.5
+    distance = h / 4 * np.where(inside, 0.5 - ndimage.distance_transform_edt(inside), outside)
+    phi = start = distance[::4, ::4]
+    for _ in range(50):
+        phi = step_along_normal(phi, 1.0, h, 0.4 * h)
+    exact = start - 20 * h
+    assert np.abs(exact[np.abs(phi) < h / 2]).mean() < 0.6 * h
 
 
 def test_curvature_of_a_sphere_is_two_over_its_radius() -> None:
