@@ -19,7 +19,6 @@ SMALLEST_LEVEL = 12
 MOST_LEVELS = 3
 """Levels of the pyramid: coarser ones lose obstacles a few voxels wide."""
 
-
 COARSE_ROUNDS = 4
 """Rounds of a coarse level between two looks at the energy on the finest grid, which cost as much
 as several rounds."""
@@ -107,9 +106,10 @@ def evolve(
     -----
     The flow is ``u_t = grad g . grad u + g div(grad u / |grad u|) |grad u| - f |grad u|`` (thesis
     eq. 5.6.18 with the factor of its curvature term corrected from 2 to 1), with a time step per
-    voxel. After each round u is made a signed distance and the energy is measured on the finest
-    grid. A coarse level ends when it no longer lowers that energy; on the finest level a round
-    that would raise it is taken back and tried once more with half the step.
+    voxel. After each round of steps u is made a signed distance and the energy is measured: on a
+    coarse level that of its own grid, which says when it rests, and every few rounds that of the
+    finest grid, which is traced. On the finest level a round that would raise the energy is taken
+    back and tried once more with half the step.
     """
     spacing = np.asarray(spacing, dtype=np.float64)
     _check(u0, f, g, evolution)
