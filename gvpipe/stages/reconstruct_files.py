@@ -92,27 +92,26 @@ def _arrays(volumes: Sequence[Volume]) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _evolution_page(
-    volumes: Sequence[Volume], last: Mesh, ground: GroundModel
-) -> NDArray[np.uint8]:
+def _evolution_page(volumes: Sequence[Volume], last: Mesh, ground: GroundModel) -> Image:
     """Picture the surfaces of all regions at some moments of their evolution."""
     total = max(v.solution.iterations for v in volumes)
-    pictures = []
-    bounds = None
-    for share in MOMENTS:
-        shown = [nearest_frame(v.solution.frame_iterations, share * total) for v in volumes]
-        meshes = [
-            surface(*restored(v.solution.frames[k], v.grid))
-            for v, k in zip(volumes, shown, strict=True)
-        ]
-        mesh = last if share == 1.0 else join(meshes)
-        if bounds is None:
-            bounds = (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
-        step = max(v.solution.frame_iterations[k] for v, k in zip(volumes, shown, strict=True))
-        caption = f"iteration {step} of {total}" if 0 < share < 1 else f"iteration {total}, the end"
-        caption = caption if share else "start"
-        pictures.append((sculpture(mesh, ground, bounds, PICTURE), caption))
+    moments = [_moment(volumes, share * total) for share in MOMENTS[:-1]]
+    start = moments[0][0].vertices
+    bounds = (start.min(axis=0), start.max(axis=0))
+    shown = [(mesh, f"iteration {step} of {total}" if step else "start") for mesh, step in moments]
+    shown.append((last, f"iteration {total}, the end"))
+    pictures = [(sculpture(mesh, ground, bounds, PICTURE), text) for mesh, text in shown]
     return sheet(pictures, columns=2)
+
+
+def _moment(volumes: Sequence[Volume], wanted: float) -> tuple[Mesh, int]:
+    """Give the surface of all regions near an iteration, and which one that is."""
+    meshes, steps = [], []
+    for grid, solution in ((v.grid, v.solution) for v in volumes):
+        k = nearest_frame(solution.frame_iterations, wanted)
+        meshes.append(surface(*restored(solution.frames[k], grid)))
+        steps.append(solution.frame_iterations[k])
+    return join(meshes), max(steps)
 
 
 def _terms_page(volume: Volume) -> Image:
