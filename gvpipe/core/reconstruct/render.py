@@ -139,7 +139,7 @@ def _standpoint(
 ) -> tuple[Camera, Pose]:
     """Choose a camera that has a box of the map in its picture, looking along a heading."""
     low, high = bounds
-    middle, distance = (low + high) / 2, 1.5 * float(np.linalg.norm(high - low))
+    middle, distance = (low + high) / 2, 1.6 * float(np.linalg.norm(high - low))
     width, height = size
     focal = 1.2 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
