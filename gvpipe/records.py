@@ -286,13 +286,19 @@ class MosaicBody(Body):
 
 
 class ObstacleRow(Record):
-    """One obstacle standing on the ground."""
+    """One obstacle standing on the ground.
+
+    `confidence`, 0 to 1, is the mean over `views` views of intersection over union of the
+    obstacle's picture and the view's silhouette near it.
+    """
 
     id: int
     footprint: Polygon
     height_m: float
     volume_m3: float
     centroid: Vector3
+    confidence: float
+    views: int
 
 
 class ReconstructBody(Body):

@@ -14,6 +14,8 @@ import pytest
 import trimesh
 
 from gvpipe.cli import run
+from gvpipe.core.mosaic.occupancy import OCCUPIED
+from gvpipe.formats.occupancy import read_pgm
 from tests.conftest import BOX_HIGH, STAGES, TinySet, make_tiny_set
 
 HEADER = {
@@ -41,7 +43,18 @@ FILES = {
     "overlap": {"overlap.json", "overlap.npz"},
     "slam": {"slam.json", "A.tum", "B.tum", "location_graph.svg"},
     "mosaic": {"mosaic.png", "mosaic.json", "map.pgm", "map.yaml"},
-    "reconstruct": {"obstacles.ply", "points.ply", "volume.npz", "obstacles.json"},
+    "reconstruct": {
+        "obstacles.ply",
+        "obstacles.glb",
+        "points.ply",
+        "volume.npz",
+        "obstacles.json",
+        "map.pgm",
+        "map.yaml",
+        "turntable.png",
+        "evolution.png",
+        "terms.png",
+    },
 }
 ROWS = {
     ("match", "pairs"): "image_i image_j status reason H inliers candidates trials error_px "
@@ -52,7 +65,7 @@ ROWS = {
     ("slam", "poses"): "image robot component R t x y yaw_deg tilt_deg roll_deg height_m "
     "covariance",
     ("slam", "edges"): "image_i image_j kind residual_m",
-    ("reconstruct", "obstacles"): "id footprint height_m volume_m3 centroid",
+    ("reconstruct", "obstacles"): "id footprint height_m volume_m3 centroid confidence views",
 }
 
 
@@ -165,6 +178,53 @@ def test_the_box_is_found(chain: TinySet) -> None:
     assert obstacles[0]["volume_m3"] == pytest.approx(0.22 * 0.16 * 0.16, rel=0.4)
     mesh = trimesh.load(chain.out() / "reconstruct" / "obstacles.ply", process=False)
     assert mesh.is_watertight
+
+
+def test_the_box_stands_in_the_ros_map_of_reconstruct(chain: TinySet) -> None:
+    cells = {
+        stage: read_pgm((chain.out() / stage / "map.pgm").read_bytes())
+        for stage in ("mosaic", "reconstruct")
+    }
+    assert cells["mosaic"].shape == cells["reconstruct"].shape
+    body = chain.document("mosaic")
+    (obstacle,) = chain.document("reconstruct")["obstacles"]
+    x, y, _ = obstacle["centroid"]
+    u, v, _ = np.linalg.inv(np.array(body["map_from_pixel"])) @ (x, y, 1.0)
+    assert cells["reconstruct"][round(v), round(u)] == OCCUPIED
+    area = (cells["reconstruct"] == OCCUPIED).sum() * body["resolution"] ** 2
+    assert area == pytest.approx(0.22 * 0.16, rel=0.5)
+    assert obstacle["confidence"] > 0.9
+    assert obstacle["views"] > 8
+    yaml_of = [(chain.out() / s / "map.yaml").read_text() for s in ("mosaic", "reconstruct")]
+    assert yaml_of[0] == yaml_of[1]
+
+
+@pytest.mark.parametrize("choice", ["evolution=layers", "method=space-carving"])
+def test_other_methods_give_the_same_files(chain: TinySet, tmp_path: Path, choice: str) -> None:
+    work = tmp_path / "copy"
+    shutil.copytree(chain.config.parent, work)
+    copy = TinySet(work / chain.config.name, chain.poses)
+    command = ["reconstruct", str(copy.config), "--jobs", "1", "-q"]
+    assert run([*command, "--set", f"reconstruct.{choice}"]) == 0
+    document = copy.document("reconstruct")
+    (obstacle,) = document["obstacles"]
+    (usual,) = chain.document("reconstruct")["obstacles"]
+    assert obstacle["volume_m3"] == pytest.approx(usual["volume_m3"], rel=0.15)
+    assert obstacle["centroid"] == pytest.approx(usual["centroid"], abs=0.01)
+    assert obstacle["confidence"] > 0.9
+    energies = [e for _, e in document["energy"]]
+    evolves = choice.startswith("evolution")
+    assert (len(energies) > 3) == evolves
+    assert (np.diff(energies) <= 0).all()
+    pictures = {"evolution.png", "terms.png"}
+    names = {p.name for p in (copy.out() / "reconstruct").iterdir()}
+    assert names & pictures == (pictures if evolves else set())
+    assert names >= FILES["reconstruct"] - pictures
+    for name in ("obstacles.ply", "obstacles.glb"):
+        path = copy.out() / "reconstruct" / name
+        mesh = trimesh.load(path, force="mesh", process=True)
+        assert mesh.is_watertight, name
+        assert mesh.volume == pytest.approx(obstacle["volume_m3"], rel=1e-3)
 
 
 def test_artefacts_do_not_depend_on_jobs_or_place(chain: TinySet, tmp_path: Path) -> None:

@@ -96,21 +96,39 @@ def test_rotation_keeps_the_area_to_first_order() -> None:
     assert fine < 0.6 * coarse
 
 
+def star(x: Array, y: Array) -> Array:
+    return np.hypot(x, y) - (0.5 + 0.2 * np.cos(7 * np.arctan2(y, x)))
+
+
 def test_a_star_turns_round_under_curvature_then_shrinks() -> None:
     (x, y), h = lattice(101, 2)
-    angle = np.arctan2(y, x)
-    phi = np.hypot(x, y) - (0.5 + 0.2 * np.cos(7 * angle))
+    phi = star(x, y)
 
     def roundness(values: Array) -> float:
         rim = np.hypot(x, y)[np.abs(values) < h]
         return float(rim.std() / rim.mean())
 
-    before = roundness(phi)
+    before, area = roundness(phi), (phi < 0).sum() * h * h
     for _ in range(1500):
         phi = step_by_curvature(phi, 1.0, h, 0.1 * h * h)
     assert before > 0.2
+    # the total curvature of any closed curve is 2 pi, so its area falls at that rate
+    assert area - (phi < 0).sum() * h * h == pytest.approx(2 * np.pi * 150 * h * h, rel=0.03)
     assert roundness(phi) < 0.05
     assert 0.2 < radius_of(phi, h) < 0.5
+
+
+def test_a_star_that_grows_along_its_normal_stays_at_that_distance_from_where_it_was() -> None:
+    h = 2.4 / 200
+    fine = np.linspace(-1.2, 1.2, 801)
+    inside = star(*np.meshgrid(fine, fine, indexing="ij")) < 0
+    outside = ndimage.distance_transform_edt(~inside) - 0.5
+    distance = h / 4 * np.where(inside, 0.5 - ndimage.distance_transform_edt(inside), outside)
+    phi = start = distance[::4, ::4]
+    for _ in range(50):
+        phi = step_along_normal(phi, 1.0, h, 0.4 * h)
+    exact = start - 20 * h
+    assert np.abs(exact[np.abs(phi) < h / 2]).mean() < 0.6 * h
 
 
 def test_curvature_of_a_sphere_is_two_over_its_radius() -> None:
@@ -283,6 +301,25 @@ def test_a_thin_pole_is_not_lost_on_coarse_levels(width: int) -> None:
     assert (inside & (d < 0)).sum() > 0.85 * (d < 0).sum()
     assert (inside & (d > 1)).sum() == 0
     assert (np.diff([e for _, e in result.energy]) <= 0).all()
+
+
+@pytest.mark.parametrize("gap", [1, 2, 3])
+def test_a_start_close_to_the_faces_is_driven_in_on_coarse_levels(gap: int) -> None:
+    x, y, z = np.meshgrid(*[np.arange(n, dtype=float) for n in (72, 72, 56)], indexing="ij")
+    d = np.sqrt((x - 30) ** 2 + (y - 40) ** 2 + (z - 20) ** 2) - 12
+    f = (0.5 * np.tanh(d)).astype(np.float32)
+    g = np.full_like(f, 0.3)
+    u0 = np.full(f.shape, -1, np.float32)
+    u0[gap:-gap, gap:-gap, :-gap] = 1
+    seen: list[tuple[int, int]] = []
+    result = evolve(
+        u0, f, g, np.ones(3), iterations=2000, levels=3,
+        on_iteration=lambda iteration, u: seen.append((iteration, int((u > 0).sum()))),
+    )  # fmt: skip
+    # half of the way within the first looks, which are at coarse levels
+    assert min(inside for iteration, inside in seen if iteration < 100) < 0.5 * (u0 > 0).sum()
+    assert result.iterations < 200
+    assert (result.u > 0).sum() == pytest.approx((d < 0).sum(), rel=0.08)
 
 
 def test_axes_are_treated_alike() -> None:

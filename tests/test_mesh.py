@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy import ndimage
 
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.mesh import Mesh, find_obstacles, join, polygon_area, surface
@@ -63,15 +64,18 @@ def test_a_surface_that_leaves_the_grid_is_closed_at_its_faces() -> None:
     assert (mesh.vertices <= GRID.upper + 1e-9).all()
 
 
-def test_any_function_gives_a_watertight_mesh() -> None:
+@pytest.mark.parametrize("blur", [0.0, 0.7, 1.5])
+def test_any_function_gives_a_watertight_mesh(blur: float) -> None:
     rng = np.random.default_rng(7)
-    u = rng.normal(size=(24, 20, 16)).astype(np.float32).round(1)
+    # rounded: many voxels lie exactly on the surface
+    u = ndimage.gaussian_filter(rng.normal(size=(24, 20, 16)), blur).round(1).astype(np.float32)
     grid = VoxelGrid.over(np.array([0.0, 0.0, 0.0]), np.array([0.24, 0.2, 0.16]), u.shape)
     for mesh in (surface(u, grid), join([o.mesh for o in find_obstacles(u, grid, 0.0)])):
         assert as_trimesh(mesh).is_winding_consistent
-        edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        _, uses = np.unique(edges, axis=0, return_counts=True)
-        assert (uses % 2 == 0).all()
+        assert as_trimesh(mesh).is_watertight
+        # and for readers of our single precision files that merge equal vertices
+        single = mesh.vertices.astype(np.float32)
+        assert trimesh.Trimesh(single, mesh.faces, process=True).is_watertight
 
 
 def test_obstacles_are_listed_with_their_measures() -> None:

@@ -6,7 +6,7 @@ The layout of the arrays is that of :mod:`gvpipe.core.kernels.levelset`.
 import numpy as np
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.kernels.levelset import Row, Scale, Spans, Volume
+from gvpipe.core.kernels.levelset import Cross, Flat, Place, Scale, Spans, Volume, cross
 
 
 @kernel
@@ -17,34 +17,37 @@ def _steepest(backward: np.float32, forward: np.float32) -> np.float32:
 
 
 @kernel
-def _anchor(out: Row, c: Row, xm: Row, xp: Row, ym: Row, yp: Row, inv: Scale) -> None:
+def _anchor(out: Flat, u: Flat, rows: Cross, n: Place, inv: Scale) -> None:
     """Divide voxels that have a neighbour across the front by the slope there; keep the others."""
     ix, iy, iz = inv
-    zero, tiny = np.float32(0), np.float32(1e-6)
-    for k in range(out.size):
-        u, down, up = c[k + 1], c[k], c[k + 2]
-        west, east, south, north = xm[k + 1], xp[k + 1], ym[k + 1], yp[k + 1]
+    c, xm, xp, ym, yp = rows
+    zero, tiny, next_ = np.float32(0), np.float32(1e-6), np.uintp(1)
+    for k in range(n):
+        here, down, up = u[c + k], u[c + k - next_], u[c + k + next_]
+        west, east, south, north = u[xm + k], u[xp + k], u[ym + k], u[yp + k]
         low = min(min(west, east), min(south, north))
         high = max(max(west, east), max(south, north))
         low = min(low, min(down, up)) if iz > zero else low
         high = max(high, max(down, up)) if iz > zero else high
-        slope = _steepest((u - west) * ix, (east - u) * ix)
-        slope += _steepest((u - south) * iy, (north - u) * iy)
-        slope += _steepest((u - down) * iz, (up - u) * iz)
-        other = low if u > zero else -high
-        out[k] = u / np.sqrt(slope + tiny) if other <= zero else u
+        slope = _steepest((here - west) * ix, (east - here) * ix)
+        slope += _steepest((here - south) * iy, (north - here) * iy)
+        slope += _steepest((here - down) * iz, (up - here) * iz)
+        other = low if here > zero else -high
+        out[c + k] = here / np.sqrt(slope + tiny) if other <= zero else here
 
 
 @kernel
-def _eikonal(out: Row, c: Row, xm: Row, xp: Row, ym: Row, yp: Row, inv: Scale) -> None:
+def _eikonal(out: Flat, u: Flat, rows: Cross, n: Place, inv: Scale) -> None:
     """Solve ``|grad u| = 1`` upwind from the neighbours; keep voxels next to the front."""
     ix, iy, iz = inv
-    zero, far = np.float32(0), np.float32(1e18)
-    for k in range(out.size):
-        s = np.float32(1) if c[k + 1] > zero else np.float32(-1)
-        a = min(s * xm[k + 1], s * xp[k + 1])
-        b = min(s * ym[k + 1], s * yp[k + 1])
-        d = min(s * c[k], s * c[k + 2]) if iz > zero else far
+    c, xm, xp, ym, yp = rows
+    zero, far, next_ = np.float32(0), np.float32(1e18), np.uintp(1)
+    for k in range(n):
+        here = u[c + k]
+        s = np.float32(1) if here > zero else np.float32(-1)
+        a = min(s * u[xm + k], s * u[xp + k])
+        b = min(s * u[ym + k], s * u[yp + k])
+        d = min(s * u[c + k - next_], s * u[c + k + next_]) if iz > zero else far
         at_front = min(a, min(b, d)) <= zero
         # sort the three nearest neighbours, each with its spacing
         p, q, r = ix, iy, iz
@@ -55,10 +58,10 @@ def _eikonal(out: Row, c: Row, xm: Row, xp: Row, ym: Row, yp: Row, inv: Scale) -
         b, d, p, q, r = b - a, d - a, p * p, q * q, r * r
         one = np.float32(1) / np.sqrt(p)
         two = (q * b + np.sqrt(max(p + q - p * q * b * b, zero))) / (p + q)
-        m, n = p + q + r, q * b + r * d
-        three = (n + np.sqrt(max(n * n - m * (q * b * b + r * d * d - np.float32(1)), zero))) / m
+        t, w = p + q + r, q * b + r * d
+        three = (w + np.sqrt(max(w * w - t * (q * b * b + r * d * d - np.float32(1)), zero))) / t
         rise = one if one <= b else (two if two <= d else three)
-        out[k] = c[k + 1] if at_front else s * (a + rise)
+        out[c + k] = here if at_front else s * (a + rise)
 
 
 @kernel
@@ -80,25 +83,22 @@ def distance_slab(
         more layer of voxels on either side right.
     """
     nx, ny, depth = u.shape
+    flat, written = u.reshape(u.size), out.reshape(u.size)
     for i in range(start, stop):
-        im, ip = max(i - 1, 0), min(i + 1, nx - 1)
         for j in range(ny):
             a, b = spans[i, j, 0], spans[i, j, 1]
             if a >= b:
                 continue
-            lo, hi = a - 1, b + 1
-            jm, jp = max(j - 1, 0), min(j + 1, ny - 1)
-            row, c = out[i, j, a:b], u[i, j, lo:hi]
-            xm, xp, ym, yp = u[im, j, lo:hi], u[ip, j, lo:hi], u[i, jm, lo:hi], u[i, jp, lo:hi]
+            rows, n = cross(i, j, a, nx, ny, depth), np.uintp(b - a)
             if anchor:
-                _anchor(row, c, xm, xp, ym, yp, inv)
+                _anchor(written, flat, rows, n, inv)
             else:
-                _eikonal(row, c, xm, xp, ym, yp, inv)
+                _eikonal(written, flat, rows, n, inv)
             out[i, j, 0], out[i, j, depth - 1] = out[i, j, 1], out[i, j, depth - 2]
 
 
 @kernel
-def front_spans(u: Volume, planar: bool, width: int) -> Spans:
+def front_spans(u: Volume, planar: bool, width: int, old: Spans) -> Spans:
     """Where each column comes within `width` voxels of the front.
 
     Parameters
@@ -109,6 +109,8 @@ def front_spans(u: Volume, planar: bool, width: int) -> Spans:
         Look for the front along x and y only (layers that do not see each other).
     width : int
         Voxels by which the front is dilated along each axis.
+    old : (nx, ny, 2) int32
+        Spans that the front has not left.
 
     Returns
     -------
@@ -123,7 +125,7 @@ def front_spans(u: Volume, planar: bool, width: int) -> Spans:
             row, east = u[i, j], u[min(i + 1, nx - 1), j]
             north = u[i, min(j + 1, ny - 1)]
             first, last = depth, 0
-            for k in range(1, depth - 1):
+            for k in range(old[i, j, 0], old[i, j, 1]):
                 here = row[k] > zero
                 if (
                     here != (east[k] > zero)
@@ -136,15 +138,18 @@ def front_spans(u: Volume, planar: bool, width: int) -> Spans:
     rows = np.empty((nx, ny, 2), np.int32)
     for i in range(nx):
         for j in range(ny):
-            window = spans[i, max(j - width, 0) : j + width + 2]
-            rows[i, j, 0], rows[i, j, 1] = window[:, 0].min(), window[:, 1].max()
+            first, last = depth, 0
+            for near in range(max(j - width, 0), min(j + width + 2, ny)):
+                first, last = min(first, spans[i, near, 0]), max(last, spans[i, near, 1])
+            rows[i, j, 0], rows[i, j, 1] = first, last
     for i in range(nx):
         for j in range(ny):
-            window = rows[max(i - width, 0) : i + width + 2, j]
-            first, last = window[:, 0].min() - reach, window[:, 1].max() + reach + 1
-            found = window[:, 0].min() < depth
-            spans[i, j, 0] = max(first, 1) if found else 1
-            spans[i, j, 1] = min(last, depth - 1) if found else 1
+            first, last = depth, 0
+            for near in range(max(i - width, 0), min(i + width + 2, nx)):
+                first, last = min(first, rows[near, j, 0]), max(last, rows[near, j, 1])
+            found = first < depth
+            spans[i, j, 0] = max(first - reach, 1) if found else 1
+            spans[i, j, 1] = min(last + reach + 1, depth - 1) if found else 1
     return spans
 
 

@@ -5,6 +5,9 @@ z that repeats its neighbour; along x and y borders are repeated by clamping. Ea
 worked on from ``spans[i, j, 0]`` to ``spans[i, j, 1]`` (padded indices): an unbroken row that the
 compiler can vectorise. Kernels read one buffer and write another, so slabs of x can run in any
 order, on any number of threads, with identical results.
+
+Rows are given as places in the flattened arrays, which are unsigned so that no index can count
+from the end: making a view of each row costs more than the work on a short one.
 """
 
 import numpy as np
@@ -13,65 +16,104 @@ from gvpipe.core.kernels.jit import kernel
 
 Scale = tuple[np.float32, np.float32, np.float32]
 Row = np.ndarray[tuple[int], np.dtype[np.float32]]
+Flat = np.ndarray[tuple[int], np.dtype[np.float32]]
 Volume = np.ndarray[tuple[int, int, int], np.dtype[np.float32]]
 Spans = np.ndarray[tuple[int, int, int], np.dtype[np.int32]]
+Place = np.uintp
+Cross = tuple[np.uintp, np.uintp, np.uintp, np.uintp, np.uintp]
+"""Places of a row and of its neighbours at x - 1, x + 1, y - 1 and y + 1."""
+Corners = tuple[np.uintp, np.uintp, np.uintp, np.uintp]
+"""Places of the rows at (x - 1, y - 1), (x - 1, y + 1), (x + 1, y - 1) and (x + 1, y + 1)."""
+
+
+@kernel
+def place(i: int, j: int, k: int, ny: int, depth: int) -> Place:
+    """Where voxel (i, j, k) is in a flattened array."""
+    return np.uintp((i * ny + j) * depth + k)
+
+
+@kernel
+def cross(i: int, j: int, k: int, nx: int, ny: int, depth: int) -> Cross:
+    """Where a row that begins at voxel (i, j, k) and its four neighbours are; borders repeat."""
+    return (
+        place(i, j, k, ny, depth),
+        place(max(i - 1, 0), j, k, ny, depth),
+        place(min(i + 1, nx - 1), j, k, ny, depth),
+        place(i, max(j - 1, 0), k, ny, depth),
+        place(i, min(j + 1, ny - 1), k, ny, depth),
+    )
+
+
+@kernel
+def _corners(i: int, j: int, k: int, nx: int, ny: int, depth: int) -> Corners:
+    """Where the four rows diagonal to that of voxel (i, j, k) are; borders repeat."""
+    west, east = max(i - 1, 0), min(i + 1, nx - 1)
+    south, north = max(j - 1, 0), min(j + 1, ny - 1)
+    return (
+        place(west, south, k, ny, depth),
+        place(west, north, k, ny, depth),
+        place(east, south, k, ny, depth),
+        place(east, north, k, ny, depth),
+    )
 
 
 @kernel
 def _transport(
-    out: Row, rate: Row, c: Row, xm: Row, xp: Row, ym: Row, yp: Row, f: Row, g: Row,
-    gxm: Row, gxp: Row, gym: Row, gyp: Row, inv: Scale,
-) -> None:  # fmt: skip
+    out: Row, rate: Row, u: Flat, f: Flat, g: Flat, rows: Cross, n: Place, inv: Scale
+) -> None:
     """Volume term and advection of a row, ``grad g . grad u - f |grad u|``, and the CFL rate."""
-    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    zero, one, half, next_ = np.float32(0), np.float32(1), np.float32(0.5), np.uintp(1)
+    c, xm, xp, ym, yp = rows
     ix, iy, iz = inv
     diffusion = np.float32(2) * (ix * ix + iy * iy + iz * iz)
-    for k in range(out.size):
-        u = c[k + 1]
-        ax, bx = (u - xm[k + 1]) * ix, (xp[k + 1] - u) * ix
-        ay, by = (u - ym[k + 1]) * iy, (yp[k + 1] - u) * iy
-        az, bz = (u - c[k]) * iz, (c[k + 2] - u) * iz
+    for k in range(n):
+        here, force = u[c + k], f[c + k]
+        ax, bx = (here - u[xm + k]) * ix, (u[xp + k] - here) * ix
+        ay, by = (here - u[ym + k]) * iy, (u[yp + k] - here) * iy
+        az, bz = (here - u[c + k - next_]) * iz, (u[c + k + next_] - here) * iz
         # Godunov: for f < 0 the characteristics turn round
-        s = one if f[k + 1] >= zero else -one
+        s = one if force >= zero else -one
         px, qx = max(s * ax, zero), min(s * bx, zero)
         py, qy = max(s * ay, zero), min(s * by, zero)
         pz, qz = max(s * az, zero), min(s * bz, zero)
         slope = np.sqrt(max(px * px, qx * qx) + max(py * py, qy * qy) + max(pz * pz, qz * qz))
         # upwind advection with velocity -grad g
-        gx = (gxp[k + 1] - gxm[k + 1]) * half * ix
-        gy = (gyp[k + 1] - gym[k + 1]) * half * iy
-        gz = (g[k + 2] - g[k]) * half * iz
+        gx = (g[xp + k] - g[xm + k]) * half * ix
+        gy = (g[yp + k] - g[ym + k]) * half * iy
+        gz = (g[c + k + next_] - g[c + k - next_]) * half * iz
         flow = max(gx, zero) * bx + min(gx, zero) * ax
         flow += max(gy, zero) * by + min(gy, zero) * ay
         flow += max(gz, zero) * bz + min(gz, zero) * az
-        out[k] = flow - f[k + 1] * slope
+        out[k] = flow - force * slope
         rate[k] = (
-            abs(f[k + 1]) * (ix + iy + iz)
+            abs(force) * (ix + iy + iz)
             + (abs(gx) * ix + abs(gy) * iy + abs(gz) * iz)
-            + g[k + 1] * diffusion
+            + g[c + k] * diffusion
         )
 
 
 @kernel
 def _curvature(
-    out: Row, c: Row, xm: Row, xp: Row, ym: Row, yp: Row, mm: Row, mp: Row, pm: Row, pp: Row,
-    inv: Scale, limit: np.float32,
-) -> None:  # fmt: skip
+    out: Row, u: Flat, rows: Cross, corners: Corners, n: Place, inv: Scale, limit: np.float32
+) -> None:
     """Curvature times slope of a row, ``div(grad u / |grad u|) |grad u|``, central, clipped."""
     two, half, quarter = np.float32(2), np.float32(0.5), np.float32(0.25)
-    tiny = np.float32(1e-6)
+    tiny, next_ = np.float32(1e-6), np.uintp(1)
+    c, xm, xp, ym, yp = rows
+    mm, mp, pm, pp = corners
     ix, iy, iz = inv
-    for k in range(out.size):
-        u = two * c[k + 1]
-        ux = (xp[k + 1] - xm[k + 1]) * half * ix
-        uy = (yp[k + 1] - ym[k + 1]) * half * iy
-        uz = (c[k + 2] - c[k]) * half * iz
-        uxx = (xp[k + 1] - u + xm[k + 1]) * ix * ix
-        uyy = (yp[k + 1] - u + ym[k + 1]) * iy * iy
-        uzz = (c[k + 2] - u + c[k]) * iz * iz
-        uxy = (pp[k] - pm[k] - mp[k] + mm[k]) * quarter * ix * iy
-        uxz = (xp[k + 2] - xp[k] - xm[k + 2] + xm[k]) * quarter * ix * iz
-        uyz = (yp[k + 2] - yp[k] - ym[k + 2] + ym[k]) * quarter * iy * iz
+    for k in range(n):
+        above, below = k + next_, k - next_
+        twice = two * u[c + k]
+        ux = (u[xp + k] - u[xm + k]) * half * ix
+        uy = (u[yp + k] - u[ym + k]) * half * iy
+        uz = (u[c + above] - u[c + below]) * half * iz
+        uxx = (u[xp + k] - twice + u[xm + k]) * ix * ix
+        uyy = (u[yp + k] - twice + u[ym + k]) * iy * iy
+        uzz = (u[c + above] - twice + u[c + below]) * iz * iz
+        uxy = (u[pp + k] - u[pm + k] - u[mp + k] + u[mm + k]) * quarter * ix * iy
+        uxz = (u[xp + above] - u[xp + below] - u[xm + above] + u[xm + below]) * quarter * ix * iz
+        uyz = (u[yp + above] - u[yp + below] - u[ym + above] + u[ym + below]) * quarter * iy * iz
         x2, y2, z2 = ux * ux, uy * uy, uz * uz
         square = x2 + y2 + z2
         bend = x2 * (uyy + uzz) + y2 * (uxx + uzz) + z2 * (uxx + uyy)
@@ -83,13 +125,13 @@ def _curvature(
 
 @kernel
 def _apply(
-    out: Row, c: Row, g: Row, change: Row, rate: Row, bend: Row, cfl: np.float32, floor: np.float32
-) -> None:
+    out: Flat, u: Flat, g: Flat, c: Place, n: Place, change: Row, rate: Row, bend: Row,
+    cfl: np.float32, floor: np.float32,
+) -> None:  # fmt: skip
     """Take each voxel's own time step."""
-    n = change.size
     for k in range(n):
         step = cfl / max(rate[k], floor)
-        out[k + 1] = c[k + 1] + step * (change[k] + g[k + 1] * bend[k])
+        out[c + k] = u[c + k] + step * (change[k] + g[c + k] * bend[k])
 
 
 @kernel
@@ -120,25 +162,18 @@ def evolve_slab(
     positive factor leaves it a descent direction with the same stationary surfaces.
     """
     nx, ny, depth = u.shape
+    flat, written = u.reshape(u.size), out.reshape(u.size)
+    volume, area = f.reshape(u.size), g.reshape(u.size)
     change, rate = np.empty(depth, np.float32), np.empty(depth, np.float32)
     bend = np.empty(depth, np.float32)
     for i in range(start, stop):
-        im, ip = max(i - 1, 0), min(i + 1, nx - 1)
         for j in range(ny):
             a, b = spans[i, j, 0], spans[i, j, 1]
             if a >= b:
                 continue
-            n, lo, hi = b - a, a - 1, b + 1
-            jm, jp = max(j - 1, 0), min(j + 1, ny - 1)
-            c, xm, xp = u[i, j, lo:hi], u[im, j, lo:hi], u[ip, j, lo:hi]
-            ym, yp = u[i, jm, lo:hi], u[i, jp, lo:hi]
-            _transport(
-                change[:n], rate[:n], c, xm, xp, ym, yp, f[i, j, lo:hi], g[i, j, lo:hi],
-                g[im, j, lo:hi], g[ip, j, lo:hi], g[i, jm, lo:hi], g[i, jp, lo:hi], inv,
-            )  # fmt: skip
-            _curvature(
-                bend[:n], c, xm, xp, ym, yp, u[im, jm, a:b], u[im, jp, a:b],
-                u[ip, jm, a:b], u[ip, jp, a:b], inv, limit,
-            )  # fmt: skip
-            _apply(out[i, j, lo:hi], c, g[i, j, lo:hi], change[:n], rate[:n], bend[:n], cfl, floor)
+            n = np.uintp(b - a)
+            rows = cross(i, j, a, nx, ny, depth)
+            _transport(change, rate, flat, volume, area, rows, n, inv)
+            _curvature(bend, flat, rows, _corners(i, j, a, nx, ny, depth), n, inv, limit)
+            _apply(written, flat, area, rows[0], n, change, rate, bend, cfl, floor)
             out[i, j, 0], out[i, j, depth - 1] = out[i, j, 1], out[i, j, depth - 2]

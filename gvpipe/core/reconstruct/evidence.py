@@ -74,7 +74,7 @@ def data_terms(
     silhouettes: Sequence[Silhouette],
     grid: VoxelGrid,
     options: EvidenceOptions,
-    threads: int = 2,
+    jobs: int = 1,
 ) -> tuple[Volume, Volume]:
     """Volume term and area weight of the energy (thesis eqs. 5.6.5 and 5.6.8).
 
@@ -88,7 +88,7 @@ def data_terms(
         One a view.
     grid : VoxelGrid
     options : EvidenceOptions
-    threads : int
+    jobs : int
         Views worked on side by side; does not change the result.
 
     Returns
@@ -101,7 +101,7 @@ def data_terms(
         the views agree about the colour.
     """
     f = (0.5 - hull_probability(views, silhouettes, grid, options)).astype(np.float32)
-    free, trust = _depth_votes(views, silhouettes, grid, f < 0, options, threads)
+    free, trust = _depth_votes(views, silhouettes, grid, f < 0, options, jobs)
     f = np.where(f < 0, (1 - trust) * f + 0.5 * trust * free, f).astype(np.float32)
     consent = np.zeros(grid.shape, np.float32)
     width = max(v.camera.width for v in views)
@@ -129,7 +129,7 @@ def _depth_votes(
     grid: VoxelGrid,
     hull: NDArray[np.bool_],
     options: EvidenceOptions,
-    threads: int,
+    jobs: int,
 ) -> tuple[Volume, Volume]:
     """Whether voxels lie before (1) or behind (-1) the surface, and how surely (0..1)."""
     small = [work_view(v) for v in views]
@@ -143,9 +143,9 @@ def _depth_votes(
         depth = entry_depth(hull, grid, view)
         return np.where(entry_depth(others, coarse, view) < depth, np.inf, depth).astype(np.float32)
 
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPoolExecutor(jobs) as pool:
         near = list(pool.map(entry, small))
-    maps = depth_maps(small, near, (grid.lower + grid.upper) / 2, threads)
+    maps = depth_maps(small, near, (grid.lower + grid.upper) / 2, jobs)
     band = max(LEAST_BAND_M, BAND_VOXELS * float(grid.spacing.max()))
     votes, weight = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
     for m in maps:

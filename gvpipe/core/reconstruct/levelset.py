@@ -1,5 +1,6 @@
 """Evolution of a closed surface to the nearest minimum of a volume and an area term."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -18,6 +19,9 @@ SMALLEST_LEVEL = 12
 MOST_LEVELS = 3
 """Levels of the pyramid: coarser ones lose obstacles a few voxels wide."""
 
+COARSE_ROUNDS = 4
+"""Rounds of a coarse level between two looks at the energy on the finest grid, which cost as much
+as several rounds."""
 
 COARSE_PATIENCE = 10.0
 """A coarse level ends at this many times the tolerance: the next one continues cheaply."""
@@ -102,9 +106,10 @@ def evolve(
     -----
     The flow is ``u_t = grad g . grad u + g div(grad u / |grad u|) |grad u| - f |grad u|`` (thesis
     eq. 5.6.18 with the factor of its curvature term corrected from 2 to 1), with a time step per
-    voxel. After each round u is made a signed distance and the energy is measured on the finest
-    grid. A coarse level ends when it no longer lowers that energy; on the finest level a round
-    that would raise it is taken back and tried once more with half the step.
+    voxel. After each round of steps u is made a signed distance and the energy is measured: on a
+    coarse level that of its own grid, which says when it rests, and every few rounds that of the
+    finest grid, which is traced. On the finest level a round that would raise the energy is taken
+    back and tried once more with half the step.
     """
     spacing = np.asarray(spacing, dtype=np.float64)
     _check(u0, f, g, evolution)
@@ -129,6 +134,28 @@ def _check(u0: Volume, f: Volume, g: Volume, evolution: str) -> None:
         raise ValueError("g must not be negative: curvature flow would run backwards")
     if evolution not in ("volume", "layers"):
         raise ValueError(f"unknown evolution {evolution!r}: volume or layers")
+
+
+FACES = (
+    (slice(1),),
+    (slice(-1, None),),
+    (slice(None), slice(1)),
+    (slice(None), slice(-1, None)),
+    (slice(None), slice(None), slice(2)),
+    (slice(None), slice(None), slice(-2, None)),
+)
+"""The six faces of a padded grid."""
+
+
+def _keep_clear(coarse: Volume, fine: Volume, depth: np.float32) -> None:
+    """Take coarse voxels out of the inside along faces of the grid that the fine inside avoids.
+
+    A surface between a face and the centres of the coarse voxels behind it would be lost: the
+    inside would reach out of the grid there, and nothing drives it back.
+    """
+    for face in FACES:
+        if (fine[face] <= 0).all():
+            np.minimum(coarse[face], -depth, out=coarse[face])
 
 
 @dataclass
@@ -164,7 +191,10 @@ class _Descent:
                 self._seed(level, weights[level], starts[level])
             u = self._coarse(level)
             band = self._band(level, weights[level], u if level else u.copy())
-            rests = self._descend(band, level, iterations)
+            if level:
+                self._approach(band, level, weights[level], iterations)
+            else:
+                rests = self._settle(band, iterations)
         return rests
 
     def _coarse(self, level: int) -> Volume:
@@ -172,6 +202,8 @@ class _Descent:
         u = self.best
         for _ in range(level):
             u = halve(u)
+        if level:
+            _keep_clear(u, self.best, np.float32(self.spacing.min() * 2 ** (level - 1)))
         return u
 
     def _band(self, level: int, weights: tuple[Volume, Volume], u: Volume) -> NarrowBand:
@@ -195,28 +227,51 @@ class _Descent:
         x, y, z = self.f.shape
         return tuple(-(-n // 2**level) for n in (x, y, z - 2))
 
-    def _descend(self, band: NarrowBand, level: int, iterations: int) -> bool:
-        """Run rounds until the energy on the finest grid rests; True if it did."""
+    def _approach(
+        self, band: NarrowBand, level: int, weights: tuple[Volume, Volume], iterations: int
+    ) -> None:
+        """Run rounds on a coarse level until its own energy rests, or the finest grid's does."""
+        last = self._measured(band.u, *weights, level).total
+        for rounds in itertools.count(1):
+            self._round(band, COURANT, iterations)
+            energy = self._measured(band.u, *weights, level)
+            size = energy.area + abs(energy.volume)
+            rests = last - energy.total < COARSE_PATIENCE * self.tolerance * size
+            last = energy.total
+            ends = rests or self.iteration >= iterations
+            if ends or rounds % COARSE_ROUNDS == 0:
+                u = self._lift(band.u, level)
+                fine = self._energy(u)
+                if fine.total >= self.trace[-1][1]:
+                    return
+                self._accept(u, fine)
+            if ends:
+                return
+
+    def _settle(self, band: NarrowBand, iterations: int) -> bool:
+        """Run rounds on the finest grid until its energy rests; True if it did."""
         courant = COURANT
         while self.iteration < iterations:
-            for _ in range(min(band.steps, iterations - self.iteration)):
-                band.step(courant)
-                self.iteration += 1
-            band.redistance()
-            u = self._lift(band.u, level)
-            energy = self._energy(u)
+            self._round(band, courant, iterations)
+            energy = self._energy(band.u)
             gain = self.trace[-1][1] - energy.total
             if gain > 0:
-                self._accept(u, energy)
-                size = energy.area + abs(energy.volume)
-                if gain < (COARSE_PATIENCE if level else 1.0) * self.tolerance * size:
+                self._accept(band.u, energy)
+                if gain < self.tolerance * (energy.area + abs(energy.volume)):
                     return True
-            elif level or courant < SMALLEST_COURANT:
+            elif courant < SMALLEST_COURANT:
                 return True
             else:
                 courant /= 2
                 band.restart(self.best)
         return False
+
+    def _round(self, band: NarrowBand, courant: float, iterations: int) -> None:
+        """Take as many time steps as the band allows, then make u a signed distance again."""
+        for _ in range(min(band.steps, iterations - self.iteration)):
+            band.step(courant)
+            self.iteration += 1
+        band.redistance()
 
     def _lift(self, u: Volume, level: int) -> Volume:
         """Bring a level's u to the finest grid."""
@@ -228,7 +283,10 @@ class _Descent:
         return u
 
     def _energy(self, u: Volume) -> Energy:
-        return measure_padded(u, self.f, self.g, self.spacing, self.layers, self.slabs)
+        return self._measured(u, self.f, self.g, 0)
+
+    def _measured(self, u: Volume, f: Volume, g: Volume, level: int) -> Energy:
+        return measure_padded(u, f, g, self.spacing * 2**level, self.layers, self.slabs)
 
     def _accept(self, u: Volume, energy: Energy) -> None:
         """Take u as the best surface so far."""

@@ -15,6 +15,10 @@ SMALLEST_OBSTACLE_M3 = 2e-5
 """Closed surfaces that hold less are specks of the evidence: 20 cubic centimetres is a cube with
 sides of 2.7 cm, less than any robot's wheel has to mind."""
 
+CLEARANCE = np.float32(0.01)
+"""Voxels between the surface and every voxel centre, so that all triangles have an area: a shift
+by a hundredth of what the grid resolves."""
+
 OUTLINE_TOLERANCE = 0.5
 """How far a simplified footprint may leave the true outline, voxels."""
 
@@ -155,8 +159,10 @@ def closed_at_borders(u: Volume, grid: VoxelGrid) -> tuple[Volume, VoxelGrid]:
         shape = [1, 1, 1]
         shape[axis] = -1
         np.minimum(closed, depth.reshape(shape), out=closed)
-    # marching cubes makes triangles without area where a corner lies exactly on the surface
-    closed[closed == 0] = -np.float32(1e-6) * np.float32(grid.spacing.min())
+    # where a corner lies on the surface, triangles shrink to nothing and their vertices fall
+    # together for readers that merge equal ones: the mesh would no longer be closed
+    least = CLEARANCE * np.float32(grid.spacing.min())
+    closed = np.where(closed > 0, np.maximum(closed, least), np.minimum(closed, -least))
     return closed, outer
 
 

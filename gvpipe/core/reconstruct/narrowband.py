@@ -89,7 +89,7 @@ class NarrowBand:
 
     def redistance(self) -> None:
         """Make u a signed distance near the front, and move the band there."""
-        new = front_spans(self.u, self._layers, BAND)
+        new = front_spans(self.u, self._layers, BAND, self._spans)
         work = _work(new)
         for sweep in range(BAND + 1):
             arguments = (self.u, self._spare, new, self._inverse, sweep == 0)

@@ -1,5 +1,7 @@
 """Pictures of the map: obstacles standing on their ground, seen from anywhere."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +20,27 @@ BACKGROUND = 255.0
 LIGHT = np.array([0.35, 0.25, 0.9]) / np.linalg.norm([0.35, 0.25, 0.9])
 """Direction towards the lamp, in the map."""
 
-AMBIENT = 0.65
-"""Brightness of a surface turned away from the lamp: its colours already hold the true light."""
+AMBIENT, AMBIENT_CLAY = 0.65, 0.3
+"""Brightness of a surface turned away from the lamp: photographs already hold the true light,
+one colour shows its shape by the light only."""
+
+CLAY = np.array([226, 176, 92], np.uint8)
+"""Colour of surfaces that are no obstacles yet."""
+
+HEADING = np.radians(250.0)
+"""Where a single picture of the scene looks: with the lamp beside the camera, not behind it all."""
+
+TILT = np.radians(35.0)
+"""How steeply pictures of the whole scene look down."""
 
 
-def render(mesh: Mesh, ground: GroundModel, camera: Camera, map_from_camera: Pose) -> Image:
+def render(
+    mesh: Mesh,
+    ground: GroundModel,
+    camera: Camera,
+    map_from_camera: Pose,
+    ambient: float = AMBIENT,
+) -> Image:
     """Draw the map as a camera would see it.
 
     Parameters
@@ -35,6 +53,8 @@ def render(mesh: Mesh, ground: GroundModel, camera: Camera, map_from_camera: Pos
         Size and intrinsics of the picture.
     map_from_camera : Pose
         Where it is taken from, above the ground.
+    ambient : float
+        Brightness of a surface turned away from the lamp, 0 to 1.
 
     Returns
     -------
@@ -49,7 +69,7 @@ def render(mesh: Mesh, ground: GroundModel, camera: Camera, map_from_camera: Pos
     picture = share * warped[..., :3] + (1.0 - share) * BACKGROUND
     view = PosedView("", warped[..., :3].astype(np.uint8), camera, map_from_camera)
     pixels, depths = project(mesh.vertices, view)
-    bright = AMBIENT + (1.0 - AMBIENT) * np.maximum(mesh.normals @ LIGHT, 0.0)
+    bright = ambient + (1.0 - ambient) * np.maximum(mesh.normals @ LIGHT, 0.0)
     colours = mesh.colours * bright[:, None]
     rasterise_colours(pixels, depths, mesh.faces, colours, NEAREST_M, nearness, picture)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
@@ -84,18 +104,46 @@ def turntable(
     -------
     pictures : list of (H, W, 3) uint8
     """
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    middle, extent = (low + high) / 2, float(np.linalg.norm(high - low))
+    bounds = (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
+    headings = 2 * np.pi * np.arange(count) / count
+    return [render(mesh, ground, *_standpoint(bounds, float(h), size)) for h in headings]
+
+
+def sculpture(
+    mesh: Mesh, ground: GroundModel, bounds: tuple[Float, Float], size: tuple[int, int]
+) -> Image:
+    """Draw a surface without its colours, to show its shape.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        May be empty.
+    ground : GroundModel
+        The mosaic.
+    bounds : ((3,), (3,)) float64
+        Corners of what the picture is to show, map coordinates, metres.
+    size : (int, int)
+        Width and height, pixels.
+
+    Returns
+    -------
+    picture : (H, W, 3) uint8
+    """
+    plain = replace(mesh, colours=np.broadcast_to(CLAY, mesh.vertices.shape))
+    standpoint = _standpoint(bounds, float(HEADING), size)
+    return render(plain, ground, *standpoint, ambient=AMBIENT_CLAY)
+
+
+def _standpoint(
+    bounds: tuple[Float, Float], heading: float, size: tuple[int, int]
+) -> tuple[Camera, Pose]:
+    """Choose a camera that has a box of the map in its picture, looking along a heading."""
+    low, high = bounds
+    middle, distance = (low + high) / 2, 1.6 * float(np.linalg.norm(high - low))
     width, height = size
     focal = 1.2 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-    tilt, distance = np.radians(35.0), 1.35 * extent
-    mount = Mount(tilt, 0.0, float(middle[2] + distance * np.sin(tilt)))
-    pictures = []
-    for k in range(count):
-        heading = 2 * np.pi * k / count
-        back = distance * np.cos(tilt)
-        x, y = middle[:2] - back * np.array([np.cos(heading), np.sin(heading)])
-        pose = planar_pose(float(x), float(y), heading, mount)
-        pictures.append(render(mesh, ground, camera, pose))
-    return pictures
+    mount = Mount(TILT, 0.0, float(middle[2] + distance * np.sin(TILT)))
+    back = distance * np.cos(TILT)
+    x, y = middle[:2] - back * np.array([np.cos(heading), np.sin(heading)])
+    return camera, planar_pose(float(x), float(y), heading, mount)
