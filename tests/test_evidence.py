@@ -15,12 +15,22 @@ from gvpipe.core.reconstruct.background import (
 )
 from gvpipe.core.reconstruct.evidence import data_terms, find_regions, hull_probability
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions
+from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.grid import VoxelGrid
-from gvpipe.core.reconstruct.hull import down_to_ground, pixel_from_map, render_mask, standing
-from gvpipe.core.reconstruct.likeness import difference, features, learn_noise
+from gvpipe.core.reconstruct.hull import (
+    Solid,
+    down_to_ground,
+    entry_depth,
+    pixel_from_map,
+    render_mask,
+    standing,
+)
+from gvpipe.core.reconstruct.likeness import difference, features, learn_noise, without_gloss
 from gvpipe.core.reconstruct.photometry import levelled
+from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
 from gvpipe.core.reconstruct.silhouette import silhouettes
+from gvpipe.core.reconstruct.stereo import depth_maps
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
 from tests.synthetic import Box, Scene, texture
 
@@ -252,3 +262,100 @@ def test_rendered_voxels_cover_the_true_outline():
     inside = ((centres >= np.array(LOW)) & (centres <= np.array(HIGH))).all(-1)
     view = PosedView("", np.zeros((150, 200, 3), np.uint8), CAMERA, pose)
     assert iou(render_mask(inside, grid, view) > 0, true_mask(pose)) > 0.9
+
+
+def box_grid(grow: float = 0.0, rise: float = 0.0) -> Solid:
+    """Voxels of the box, widened and heightened: what a fat hull would be."""
+    grid = VoxelGrid.over(np.array([-0.3, -0.3, 0.0]), np.array([0.3, 0.3, 0.4]), (120, 120, 80))
+    centres = grid.centres()
+    low, high = (
+        np.array(LOW) - np.array([grow, grow, 1.0]),
+        np.array(HIGH) + np.array([grow, grow, rise]),
+    )
+    return Solid(((centres >= low) & (centres <= high)).all(-1), grid)
+
+
+def true_depth(pose: Pose) -> np.ndarray:
+    """Depth of the box's surface, infinite beside it, from the slabs' entry distances."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(CAMERA.matrix).T @ pose.rotation.T
+    a, b = (np.array(LOW) - pose.translation) / rays, (np.array(HIGH) - pose.translation) / rays
+    start, end = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
+    return np.where(start < end, start, np.inf)
+
+
+def test_rays_enter_voxels_at_the_true_depth(views):
+    solid = box_grid()
+    found = entry_depth(solid.inside, solid.grid, views[0])
+    true = true_depth(views[0].map_from_camera)
+    both = np.isfinite(found) & np.isfinite(true)
+    assert iou(np.isfinite(found), np.isfinite(true)) > 0.95
+    assert np.median(np.abs(found[both] - true[both])) < 0.005
+
+
+def test_depths_find_the_surface_inside_a_fat_hull(views):
+    fat = box_grid(0.03, 0.08)
+    near = [entry_depth(fat.inside, fat.grid, v) for v in views]
+    maps = depth_maps(views, near, np.array([0.0, 0.0, 0.1]), 2)
+    errors, shares = [], []
+    for found, view in zip(maps, views, strict=True):
+        true = true_depth(view.map_from_camera)
+        known = np.isfinite(true) & (found.confidence > 0)
+        errors.append(np.abs(found.depth[known] - true[known]))
+        shares.append(known.sum() / np.isfinite(true).sum())
+    assert np.median(np.concatenate(errors)) < 0.004  # a pixel is 6 mm wide
+    assert np.mean(np.concatenate(errors) < 0.012) > 0.9
+    assert np.mean(shares) > 0.3
+    again = depth_maps(views, near, np.array([0.0, 0.0, 0.1]), 1)
+    np.testing.assert_array_equal(maps[3].depth, again[3].depth)
+
+
+def test_texture_in_the_plane_of_the_ground_is_ground(views):
+    raised = raised_surfaces(views, [box_grid(0.02, 0.05)], 2)
+    masks = [true_mask(v.map_from_camera) for v in views]
+    up = np.concatenate([m[r > 0.5] for m, r in zip(masks, raised, strict=True)])
+    flat = np.concatenate([m[r < -0.5] for m, r in zip(masks, raised, strict=True)])
+    assert len(up) > 1000
+    assert len(flat) > 300
+    assert up.mean() > 0.95
+    assert flat.mean() < 0.1
+
+
+def test_depths_take_the_roof_off_the_hull(views, shapes):
+    grid = VoxelGrid.over(np.array([-0.3, -0.3, 0.0]), np.array([0.3, 0.3, 0.4]), (60, 60, 40))
+    hull = hull_probability(views, shapes, grid, EvidenceOptions()) > 0.5
+    f, _ = data_terms(views, shapes, grid, EvidenceOptions())
+    z = grid.centres()[..., 2]
+    above = z > HIGH[2] + 0.02
+    assert (hull & above).sum() > 50  # a hull seen from above has a roof
+    assert ((f < 0) & above).sum() < 0.3 * (hull & above).sum()
+
+
+@pytest.mark.parametrize(("believers", "stands"), [((4, 5), False), ((3, 4, 5), True)])
+def test_bodies_need_three_witnesses_of_their_own(views, believers, stands):
+    box = box_grid()
+    masks = [render_mask(box.inside, box.grid, v) > 0 for v in views]
+    # the first camera sees it behind the box, where its silhouette would allow anything
+    grid = VoxelGrid.over(np.array([-0.42, -0.05, 0.0]), np.array([-0.3, 0.05, 0.08]), (24, 20, 16))
+    bodies = [render_mask(np.ones(grid.shape, bool), grid, v) > 0 for v in views]
+    assert (bodies[0] & masks[0]).sum() > 0.95 * bodies[0].sum()
+    shapes = [m.astype(np.float32) for m in masks]
+    for k, body in enumerate(bodies):
+        shapes[k][body & ~masks[k]] = 1.0 if k in believers else np.nan
+    cleaned = without_ghosts(views, shapes, EvidenceOptions())
+    for k in believers:
+        alone = bodies[k] & ~cv2.dilate(masks[k].astype(np.uint8), np.ones((9, 9))).astype(bool)
+        assert alone.sum() > 50
+        assert (cleaned[k][alone].mean() > 0.9) == stands
+        assert (cleaned[k][masks[k]] == 1.0).all()
+
+
+def test_smooth_light_is_taken_for_gloss_but_an_obstacle_is_not():
+    ground = np.full((150, 200, 3), 150, np.float32)
+    x = np.arange(200) / 200
+    picture = ground + 20 * x[None, :, None]
+    picture[60:100, 80:120] = 40
+    corrected = without_gloss(picture.astype(np.uint8), ground, np.ones((150, 200), np.float32))
+    off = np.abs(picture - corrected).mean(axis=-1)
+    assert off[:40].max() < 5
+    assert off[62:98, 82:118].min() > 60

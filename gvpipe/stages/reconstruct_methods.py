@@ -44,7 +44,7 @@ def _level_set(
     jobs: int,
 ) -> Solution:
     """Evolve a box that fills the region down to the surface (thesis 5.6)."""
-    f, g = data_terms(views, shapes, grid, EvidenceOptions())
+    f, g = data_terms(views, shapes, grid, EvidenceOptions(), jobs)
     start = np.full(grid.shape, -1.0, np.float32)
     start[2:-2, 2:-2, :-2] = 1.0
     recorder = Recorder(grid)

@@ -14,6 +14,9 @@ from gvpipe.core.types import Float, Image, PosedView
 REACH = 6.0
 """Ground farther from a camera than this many of its heights shows no detail: not compared."""
 
+REDUCED_WIDTH = 400
+"""Pixels: what needs no detail works on pictures reduced to about this width."""
+
 MOST_OTHERS = 24
 """Views asked for the background of one: the nearest; the cost grows with their square."""
 
@@ -179,6 +182,11 @@ def _aim(view: PosedView) -> Float:
 def upward_rays(view: PosedView) -> Float:
     """(3,) numbers whose product with (u, v, 1) is the upward component of a pixel's ray."""
     return np.asarray(view.map_from_camera.rotation[2] @ np.linalg.inv(view.camera.matrix))
+
+
+def reduction(view: PosedView) -> int:
+    """Whole factor that makes a view small enough for work without detail."""
+    return max(1, round(view.camera.width / REDUCED_WIDTH))
 
 
 def reduced(view: PosedView, pixels: Image, factor: int) -> PosedView:

@@ -1,27 +1,38 @@
 """The two terms of the energy on a voxel grid, and where obstacles may stand at all."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.evidence import photo_consistency
+from gvpipe.core.kernels.fusion import fuse_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.hull import (
     Region,
+    entry_depth,
     log_support,
     pixel_from_map,
     regions_of,
     search_grid,
     tolerant_hull,
 )
+from gvpipe.core.reconstruct.stereo import depth_maps, work_view
 from gvpipe.core.types import PosedView
 
 __all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_from_map"]
 
 REGION_TOLERANCE = 0.05
 """Share of the views that may contradict a point where obstacles are looked for."""
+
+SURE_VIEWS, FAILING_SHARE = 16, 0.1
+"""Views that must all agree, and the share of further ones whose silhouettes may fail."""
+
+LEAST_BAND_M, BAND_VOXELS = 0.01, 2.0
+"""Half width of the band in which a depth speaks for its surface, metres and voxels: the scatter
+of depths at arm's length."""
 
 MARGIN = 3
 """Coarse voxels between an obstacle and the border of its region."""
@@ -39,7 +50,9 @@ def hull_probability(
     """Probability that a point lies in an obstacle's visual hull (thesis eq. 5.6.3).
 
     Views in which the point projects outside the picture or onto pixels of unknown background
-    are left out; a point that fewer than ``options.min_views`` can judge has probability 0.
+    are left out; a point that fewer than ``options.min_views`` can judge has probability 0. The
+    product of many views would let the worst of them carve: beyond ``SURE_VIEWS`` a share of the
+    further ones may contradict.
 
     Returns
     -------
@@ -47,7 +60,8 @@ def hull_probability(
         In 0..1.
     """
     log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
-    probability = np.exp(log_sum)
+    failing = FAILING_SHARE * np.maximum(count.astype(np.float32) - SURE_VIEWS, 0)
+    probability = np.exp(np.minimum(log_sum - np.log(options.view_floor) * failing, 0))
     probability[count < options.min_views] = 0.0
     height = grid.origin[2] + np.arange(grid.shape[2]) * grid.spacing[2]
     above = 1.0 / (1.0 + np.exp(np.clip(-height / options.ground_softness, -50.0, 50.0)))
@@ -60,8 +74,22 @@ def data_terms(
     silhouettes: Sequence[Silhouette],
     grid: VoxelGrid,
     options: EvidenceOptions,
+    jobs: int = 1,
 ) -> tuple[Volume, Volume]:
     """Volume term and area weight of the energy (thesis eqs. 5.6.5 and 5.6.8).
+
+    The silhouettes' hull is all that is known of a surface without texture. Where views agree on
+    texture behind the hull's surface, their depths take over.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    silhouettes : sequence of (H, W) float32
+        One a view.
+    grid : VoxelGrid
+    options : EvidenceOptions
+    jobs : int
+        Views worked on side by side; does not change the result.
 
     Returns
     -------
@@ -73,6 +101,8 @@ def data_terms(
         the views agree about the colour.
     """
     f = (0.5 - hull_probability(views, silhouettes, grid, options)).astype(np.float32)
+    free, trust = _depth_votes(views, silhouettes, grid, f < 0, options, jobs)
+    f = np.where(f < 0, (1 - trust) * f + 0.5 * trust * free, f).astype(np.float32)
     consent = np.zeros(grid.shape, np.float32)
     width = max(v.camera.width for v in views)
     height = max(v.camera.height for v in views)
@@ -91,6 +121,40 @@ def data_terms(
         consent,
     )
     return f, np.maximum(1.0 - consent, options.area_floor).astype(np.float32)
+
+
+def _depth_votes(
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    hull: NDArray[np.bool_],
+    options: EvidenceOptions,
+    jobs: int,
+) -> tuple[Volume, Volume]:
+    """Whether voxels lie before (1) or behind (-1) the surface, and how surely (0..1)."""
+    small = [work_view(v) for v in views]
+    coarse = search_grid(views)
+    others = tolerant_hull(views, silhouettes, coarse, options, REGION_TOLERANCE)
+    low, high = (coarse.index_from_map(corner) for corner in (grid.lower, grid.upper))
+    (i0, j0, _), (i1, j1, _) = np.maximum(np.floor(low), 0).astype(int), np.ceil(high).astype(int)
+    others[i0 : i1 + 1, j0 : j1 + 1] = False
+
+    def entry(view: PosedView) -> Volume:
+        depth = entry_depth(hull, grid, view)
+        return np.where(entry_depth(others, coarse, view) < depth, np.inf, depth).astype(np.float32)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        near = list(pool.map(entry, small))
+    maps = depth_maps(small, near, (grid.lower + grid.upper) / 2, jobs)
+    band = max(LEAST_BAND_M, BAND_VOXELS * float(grid.spacing.max()))
+    votes, weight = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
+    for m in maps:
+        fuse_depth(
+            m.depth, m.confidence, pixel_from_map(m.view), grid.origin, grid.spacing, band, votes,
+            weight,
+        )  # fmt: skip
+    free = votes / np.maximum(weight, 1e-6)
+    return np.asarray(free, np.float32), np.asarray(np.minimum(weight, 1), np.float32)
 
 
 def find_regions(

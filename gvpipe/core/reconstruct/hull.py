@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gvpipe.core.kernels.evidence import add_view_evidence
-from gvpipe.core.kernels.raycast import cast_mask
+from gvpipe.core.kernels.raycast import cast_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.types import Float, PosedView
@@ -49,6 +49,20 @@ class Region:
     upper: Float
 
 
+@dataclass(frozen=True)
+class Solid:
+    """Occupied voxels of a grid.
+
+    Attributes
+    ----------
+    inside : (nx, ny, nz) bool
+    grid : VoxelGrid
+    """
+
+    inside: Bool
+    grid: VoxelGrid
+
+
 def pixel_from_map(view: PosedView) -> Float:
     """(3, 4) projection K [R | t] of the view (thesis eq. 5.5.1), third row the depth in metres."""
     camera_from_map = view.map_from_camera.inverse()
@@ -80,20 +94,24 @@ def tolerant_hull(
     grid: VoxelGrid,
     options: EvidenceOptions,
     tolerance: float,
+    grounded: bool = True,
 ) -> Bool:
-    """Voxels that at most a share of their views contradict, in parts that stand on the ground."""
+    """Voxels that at most a share of their views contradict, in parts that are more than specks.
+
+    Parts must also stand on the ground if `grounded`.
+    """
     log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
     inside = log_sum > np.log(options.view_floor) * tolerance * count + np.log(0.5)
     inside &= count >= max(options.min_views, VIEW_SHARE * int(count.max()))
-    return standing(inside)
+    return standing(inside, STANDING_LAYERS if grounded else grid.shape[2])
 
 
-def standing(inside: Bool) -> Bool:
-    """Keep the connected parts that reach the ground and are more than specks."""
+def standing(inside: Bool, layers: int = STANDING_LAYERS) -> Bool:
+    """Keep the connected parts that reach the lowest layers and are more than specks."""
     labels, count = ndimage.label(inside)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
     keep = np.zeros(count + 1, bool)
-    low = np.unique(labels[:, :, :STANDING_LAYERS])
+    low = np.unique(labels[:, :, :layers])
     keep[low[sizes[low] >= SPECK]] = True
     keep[0] = False
     kept: Bool = keep[labels]
@@ -108,11 +126,16 @@ def down_to_ground(inside: Bool) -> Bool:
 
 def render_mask(inside: Bool, grid: VoxelGrid, view: PosedView) -> NDArray[np.uint8]:
     """Picture of the voxels in a view: 255 where a ray meets one, (H, W) uint8."""
-    mask = np.zeros((view.camera.height, view.camera.width), np.uint8)
+    return np.isfinite(entry_depth(inside, grid, view)).astype(np.uint8) * np.uint8(255)
+
+
+def entry_depth(inside: Bool, grid: VoxelGrid, view: PosedView) -> Volume:
+    """Depth, (H, W) float32 metres, at which a view's rays enter the voxels; else infinite."""
+    depth = np.empty((view.camera.height, view.camera.width), np.float32)
     pose = view.map_from_camera
     map_from_ray = pose.rotation @ np.linalg.inv(view.camera.matrix)
-    cast_mask(inside, grid.origin, grid.spacing, map_from_ray, pose.translation, mask)
-    return mask
+    cast_depth(inside, grid.origin, grid.spacing, map_from_ray, pose.translation, depth)
+    return depth
 
 
 def search_grid(views: Sequence[PosedView]) -> VoxelGrid:

@@ -25,6 +25,10 @@ CONTRAST = (0.6, 1.6)
 GLOSS = 0.25
 """Share of a squared difference towards white that counts."""
 
+GLOSS_LEVELS, GLOSS_WIDTH, GLOSS_PRIOR = 30.0, 0.06, 0.03
+"""Smooth differences of light: their size, levels, their extent as a share of the picture's width,
+and the weight of there being none."""
+
 GROUND_LIKE = 4.0
 """Difference, in units of the expected, up to which a pixel teaches the noise of the ground."""
 
@@ -151,6 +155,29 @@ def learn_noise(samples: Sequence[Features]) -> GroundNoise:
         noise = GroundNoise(*_line(g.contrast, g.texture), *_line(g.contrast, g.shade))
         use = difference(f, noise)[0] < GROUND_LIKE
     return noise
+
+
+def without_gloss(picture: Image, background: Single, weight: Single) -> Single:
+    """Bring the background to the picture's light: gloss and soft shadows move with the view.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) uint8
+    background : (H, W, 3) float32
+    weight : (H, W) float32
+        How surely the background is ground; 0 where it is not known.
+
+    Returns
+    -------
+    background : (H, W, 3) float32
+        Plus the mean difference around each pixel of what differs little.
+    """
+    off = picture.astype(np.float32) - background
+    likely = np.minimum(weight, 1) / (1 + (off**2).sum(axis=-1) / GLOSS_LEVELS**2) ** 2
+    sigma = GLOSS_WIDTH * picture.shape[1]
+    total: Single = _blur(likely, sigma) + GLOSS_PRIOR
+    field = _blur(likely[..., None] * off, sigma) / total[..., None]
+    return np.asarray(background + field, np.float32)
 
 
 def _shade(off: Single) -> Single:

@@ -14,26 +14,26 @@ from gvpipe.core.reconstruct.background import (
     SeenGround,
     below_horizon,
     reduced,
+    reduction,
     rendered_background,
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
-from gvpipe.core.reconstruct.hull import (
-    down_to_ground,
-    region_grid,
-    regions_of,
-    render_mask,
-    search_grid,
-    tolerant_hull,
+from gvpipe.core.reconstruct.ghosts import without_ghosts
+from gvpipe.core.reconstruct.hiding import hidden_ground, tolerant_solids
+from gvpipe.core.reconstruct.likeness import (
+    Features,
+    GroundNoise,
+    difference,
+    features,
+    learn_noise,
+    without_gloss,
 )
-from gvpipe.core.reconstruct.likeness import GroundNoise, difference, features, learn_noise
 from gvpipe.core.reconstruct.photometry import levelled
+from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
 from gvpipe.core.types import PosedView
 
 __all__ = ["EvidenceOptions", "Silhouette", "silhouettes"]
-
-REDUCED_WIDTH = 400
-"""Pixels: the rounds before the last work on pictures reduced to about this width."""
 
 FIRST_SCALE = 20.0
 """Levels within which colours of the same ground agree, before it is measured."""
@@ -65,17 +65,14 @@ seldom lies, but what looks like ground may be an obstacle that all views see in
 AGREEING_SHARE = 0.4
 """Share of the open views that must agree for the ground behind a pixel to be certain."""
 
+LEAST_OPEN = 0.5
+"""Weight of views from which nothing known hides the ground, from which on it counts as seen."""
+
+LEAST_GAIN = 0.5
+"""Mean measured log odds, over a silhouette's pixels with ground seen behind, of an obstacle."""
+
 SPECK_SHARE = 0.02
 """Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
-
-REGION_VOXELS = 600_000
-"""Voxels of one region when obstacles are asked what they hide."""
-
-FINE_PER_HEIGHT = 100
-"""Voxels per camera height in those regions, at most."""
-
-MARGIN = 4
-"""Coarse voxels around a region: its tolerant hull may still grow."""
 
 SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 """Pixels by which the comparison window smears an obstacle's difference over its outline."""
@@ -112,19 +109,22 @@ def silhouettes(
         return [colour_silhouette(view, ground, options.colour_scale) for view in views]
     pictures = levelled(views)
     pairs = list(zip(views, pictures, strict=True))
-    small = GroundWitnesses([reduced(v, p, _reduction(v)) for v, p in pairs])
+    small = GroundWitnesses([reduced(v, p, reduction(v)) for v, p in pairs])
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[NDArray[np.uint8]] = []
+        raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
-            shapes = _round(small, scale, options, index == 0, pool)
-            first_half = index < (len(options.tolerances) + 1) // 2
-            hidden = _hidden(small.views, shapes, options, tolerance, first_half, pool)
+            shapes = _round(small, scale, options, raised, index == 0, pool)
+            solids = tolerant_solids(small.views, shapes, options, tolerance)
+            hidden = hidden_ground(small.views, shapes, solids, pool)
             small.hide(hidden)
+            raised = raised_surfaces(small.views, solids, threads)
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
             full.hide(hidden)
-        return _round(full, scale, options, not hidden, pool)
+        shapes = _round(full, scale, options, raised, not hidden, pool)
+    return without_ghosts(views, shapes, options)
 
 
 def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
@@ -133,10 +133,6 @@ def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float)
     squared = ((view.pixels - background.colour) ** 2).sum(axis=-1)
     probability = -np.expm1(-squared / colour_scale**2)
     return np.where(background.known, probability, np.nan).astype(np.float32)
-
-
-def _reduction(view: PosedView) -> int:
-    return max(1, round(view.camera.width / REDUCED_WIDTH))
 
 
 def _spread(count: int, wanted: int) -> list[int]:
@@ -160,16 +156,16 @@ def _round(
     witnesses: GroundWitnesses,
     scale: float,
     options: EvidenceOptions,
+    raised: Sequence[NDArray[np.float32]],
     first: bool,
     pool: ThreadPoolExecutor,
 ) -> list[Silhouette]:
-    """Silhouettes of all views, given what is known to be hidden."""
+    """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
+    asked = dict(zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True))
     samples = [
-        features(witnesses.views[k].pixels, seen.colour, seen.support > 0).pick(
-            _every_other(seen.open_weight > 1.5)
-        )
-        for k, seen in zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True)
+        _compared(witnesses.views[k], seen).pick(_every_other(seen.open_weight > 1.5))
+        for k, seen in asked.items()
     ]
     noise = learn_noise(samples)
     usual = np.concatenate([difference(f, noise)[0] for f in samples])
@@ -179,10 +175,19 @@ def _round(
         even = float(np.clip(tail, options.odds, 2 * options.odds))
 
     def one(index: int) -> Silhouette:
-        seen = witnesses.behind(index, scale)
-        return _silhouette(witnesses.views[index], seen, noise, replace(options, odds=even), first)
+        view, seen = witnesses.views[index], asked.pop(index, None)
+        seen = seen or witnesses.behind(index, scale)
+        size = (view.camera.width, view.camera.height)
+        extra = GAIN_LIMIT * cv2.resize(raised[index], size) if raised else np.zeros(1, np.float32)
+        return _silhouette(view, seen, noise, replace(options, odds=even), extra, first)
 
     return list(pool.map(one, range(len(witnesses.views))))
+
+
+def _compared(view: PosedView, seen: SeenGround) -> Features:
+    """Compare a view with the ground in the view's own light."""
+    ground = without_gloss(view.pixels, seen.colour, seen.support)
+    return features(view.pixels, ground, seen.support > 0)
 
 
 def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -196,11 +201,14 @@ def _silhouette(
     seen: SeenGround,
     noise: GroundNoise,
     options: EvidenceOptions,
+    extra: NDArray[np.float32],
     first: bool,
 ) -> Silhouette:
     """Cut one view into obstacle and ground."""
     known = seen.support > 0
-    gain = _gain(view, seen, noise, options)
+    measured = _measured_gain(view, seen, noise, options)
+    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
+    gain = measured + options.hidden_gain * hidden.astype(np.float32) + extra
     region = segment(gain, view.pixels, options.outline)
     if first:
         weights = [options.first_colour_gain] * FIRST_LEARNING
@@ -213,15 +221,34 @@ def _silhouette(
         region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
     region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
     unknown = ~below_horizon(view) & (region <= 0.5)
+    unknown |= _guessed(region, measured, seen)
     return np.where(unknown, np.nan, region).astype(np.float32)
 
 
-def _gain(
+def _guessed(
+    region: Silhouette, measured: NDArray[np.float32], seen: SeenGround
+) -> NDArray[np.bool_]:
+    """Parts of a region that hardly differ from ground that other views do see there.
+
+    They were filled in by colours, or because earlier rounds thought the ground hidden: guesses
+    that would prove each other.
+    """
+    bare = seen.open_weight > LEAST_OPEN
+    count, labels = cv2.connectedComponents((region > 0.5).astype(np.uint8), connectivity=4)
+    pixels = np.bincount(labels[bare], minlength=count)
+    total = np.bincount(labels[bare], weights=measured[bare], minlength=count)
+    guessed = total <= LEAST_GAIN * pixels
+    guessed[0] = False
+    found: NDArray[np.bool_] = guessed[labels]
+    return found
+
+
+def _measured_gain(
     view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
 ) -> NDArray[np.float32]:
-    """Log odds of obstacle against ground at every pixel, 0 where nothing is known."""
+    """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0
-    off, recognised = difference(features(view.pixels, seen.colour, known), noise)
+    off, recognised = difference(_compared(view, seen), noise)
     eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
     odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
@@ -229,35 +256,4 @@ def _gain(
     certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
     # views thought not to see the ground that still agree on its texture do see it
     certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
-    gain = np.where(known, odds * certain, 0)
-    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
-    return np.where(hidden, gain + options.hidden_gain, gain).astype(np.float32)
-
-
-def _hidden(
-    views: Sequence[PosedView],
-    shapes: Sequence[Silhouette],
-    options: EvidenceOptions,
-    tolerance: float,
-    fill_down: bool,
-    pool: ThreadPoolExecutor,
-) -> list[NDArray[np.uint8]]:
-    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
-    coarse = search_grid(views)
-    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
-    solids = []
-    for region in regions_of(
-        tolerant_hull(views, shapes, coarse, options, tolerance), coarse, MARGIN
-    ):
-        grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
-        inside = tolerant_hull(views, shapes, grid, options, tolerance)
-        solids.append((down_to_ground(inside) if fill_down else inside, grid))
-
-    def one(index: int) -> NDArray[np.uint8]:
-        own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
-        mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
-        for inside, grid in solids:
-            mask = np.maximum(mask, render_mask(inside, grid, views[index]))
-        return mask
-
-    return list(pool.map(one, range(len(views))))
+    return np.where(known, odds * certain, 0).astype(np.float32)

@@ -1,0 +1,79 @@
+"""Silhouettes that only meet by chance: bodies that no obstacle needs to explain the pictures."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gvpipe.core.reconstruct.background import reduced, reduction
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.hull import render_mask, search_grid, tolerant_hull
+from gvpipe.core.types import PosedView
+
+TOLERANCE = 0.05
+"""Share of the views that may contradict a body."""
+
+APART = 0.5
+"""Share of a body's picture that must agree and not be explained by others for a view to be its
+witness."""
+
+BORDER = 5
+"""Pixels by which explained pictures are grown: the coarse hull's outline is rough."""
+
+Masks = list[NDArray[np.bool_]]
+
+
+def without_ghosts(
+    views: Sequence[PosedView], shapes: Sequence[Silhouette], options: EvidenceOptions
+) -> list[Silhouette]:
+    """Clear from the silhouettes what only ghosts explain.
+
+    Where the cones of several obstacles' silhouettes cross, the hull has bodies besides the
+    obstacles; at the rim of the map a few accidental silhouettes make others. Bodies are
+    accepted in the order of the silhouette pixels they explain; one that fewer than
+    ``options.min_views`` views see apart from those accepted before it is a ghost.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    shapes : sequence of (H, W) float32
+        Silhouettes, NaN where unknown.
+    options : EvidenceOptions
+
+    Returns
+    -------
+    cleaned : list of (H, W) float32
+        0 where the silhouette shows a ghost and no accepted body.
+    """
+    grid = search_grid(views)
+    labels, count = ndimage.label(tolerant_hull(views, shapes, grid, options, TOLERANCE))
+    small = [reduced(v, v.pixels, reduction(v)) for v in views]
+    likely = [_sampled(s > 0.5, v) for s, v in zip(shapes, small, strict=True)]
+    bodies = [[render_mask(labels == k, grid, v) > 0 for v in small] for k in range(1, count + 1)]
+    agreed = [[m & s for m, s in zip(masks, likely, strict=True)] for masks in bodies]
+    order = sorted(range(count), key=lambda k: -sum(int(a.sum()) for a in agreed[k]))
+    explained: Masks = [np.zeros(s.shape, bool) for s in likely]
+    ghostly: Masks = [np.zeros(s.shape, bool) for s in likely]
+    for k in order:
+        witnesses = sum(
+            bool((a & ~e).sum() > APART * m.sum())
+            for m, a, e in zip(bodies[k], agreed[k], explained, strict=True)
+        )
+        into = explained if witnesses >= options.min_views else ghostly
+        for mask, body in zip(into, bodies[k], strict=True):
+            mask |= body
+    around = np.ones((BORDER, BORDER), np.uint8)
+    cleaned = []
+    for shape, known, ghost in zip(shapes, explained, ghostly, strict=True):
+        only = ghost & (cv2.dilate(known.astype(np.uint8), around) == 0)
+        wide = cv2.resize(only.astype(np.uint8), shape.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        cleaned.append(np.where(wide > 0, np.float32(0), shape))
+    return cleaned
+
+
+def _sampled(mask: NDArray[np.bool_], view: PosedView) -> NDArray[np.bool_]:
+    """Bring a mask to the size of a reduced view."""
+    size = (view.camera.width, view.camera.height)
+    return cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0

@@ -1,0 +1,67 @@
+"""What obstacles hide of the ground."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.hull import (
+    Solid,
+    down_to_ground,
+    region_grid,
+    regions_of,
+    render_mask,
+    search_grid,
+    tolerant_hull,
+)
+from gvpipe.core.types import PosedView
+
+REGION_VOXELS = 600_000
+"""Voxels of one region when obstacles are asked what they hide."""
+
+FINE_PER_HEIGHT = 100
+"""Voxels per camera height in those regions, at most."""
+
+MARGIN = 4
+"""Coarse voxels around a region: its tolerant hull may still grow."""
+
+
+def tolerant_solids(
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    options: EvidenceOptions,
+    tolerance: float,
+) -> list[Solid]:
+    """Tolerant hulls of the silhouettes, one for each region they stand in."""
+    coarse = search_grid(views)
+    height = float(np.median([v.map_from_camera.translation[2] for v in views]))
+    solids = []
+    for region in regions_of(
+        tolerant_hull(views, shapes, coarse, options, tolerance, grounded=False), coarse, MARGIN
+    ):
+        grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
+        inside = tolerant_hull(views, shapes, grid, options, tolerance, grounded=False)
+        solids.append(Solid(inside, grid))
+    return solids
+
+
+def hidden_ground(
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    solids: Sequence[Solid],
+    pool: ThreadPoolExecutor,
+) -> list[NDArray[np.uint8]]:
+    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
+
+    def one(index: int) -> NDArray[np.uint8]:
+        own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
+        mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
+        for solid in solids:
+            below = down_to_ground(solid.inside)
+            mask = np.maximum(mask, render_mask(below, solid.grid, views[index]))
+        return mask
+
+    return list(pool.map(one, range(len(views))))
