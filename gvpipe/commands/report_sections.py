@@ -1,0 +1,324 @@
+"""The report's sections: each says what it found, or which command would find it."""
+
+from collections.abc import Callable
+from statistics import median
+from typing import TypeAlias
+
+import numpy as np
+
+from gvpipe.artefacts import Members
+from gvpipe.chain import STAGES
+from gvpipe.commands.report_figures import (
+    Json,
+    energy_figure,
+    map_figure,
+    overlap_figure,
+    scene_figure,
+)
+from gvpipe.commands.report_pictures import THUMB_WIDTH, picture, thumbnail
+from gvpipe.commands.report_run import Run
+from gvpipe.commands.report_text import cell, duration, image, missing, number, plot, table, text
+from gvpipe.configfile import show_config
+from gvpipe.formats.ply import read_mesh
+from gvpipe.records import (
+    MatchBody,
+    MosaicBody,
+    OverlapBody,
+    PairRow,
+    ReconstructBody,
+    SlamBody,
+)
+from gvpipe.stages.contract import main_component
+
+MOST_PAIR_PICTURES = 400
+"""Pairs shown with their pictures; the others have their numbers only."""
+
+MOST_LINES = 24
+"""Matches drawn in one pair's picture."""
+
+PICTURES = {
+    "turntable.png": "The obstacles from all sides.",
+    "evolution.png": "The surface on its way from the first guess to the result.",
+    "terms.png": "Weights of the energy's terms.",
+}
+"""Pictures of the obstacles, and what they show."""
+
+
+def subtitle(run: Run) -> str:
+    """Say in one line what the run was."""
+    sources = {
+        "height": "the cameras' height",
+        "poses": "the known poses",
+        "control": "known ground points",
+    }
+    scale = next((a.header.scale_source for a in run.artefacts.values()), None)
+    known = f" · scale from {sources[scale]}" if scale else ""
+    robots = len(run.dataset.robots)
+    return text(f"{robots} robot{'s' * (robots != 1)}{known} · seed {run.config.seed}")
+
+
+def cards(run: Run) -> str:
+    """Give the numbers that come first."""
+    match, slam = run.get(MatchBody), run.get(SlamBody)
+    mosaic, found = run.get(MosaicBody), run.get(ReconstructBody)
+    shown = [(str(len(run.dataset.entries)), "pictures used")]
+    if match:
+        good = sum(row.status == "ok" for row in match.body.pairs)
+        shown.append((f"{good} / {len(match.body.pairs)}", "pairs matched"))
+    if slam:
+        shown.append((str(len(slam.body.poses)), "pictures on the map"))
+        shown.append((str(slam.body.components), "connected maps"))
+    if mosaic:
+        shown.append((f"{mosaic.body.coverage_m2:.1f} m²", "ground seen"))
+    if found:
+        shown.append((str(len(found.body.obstacles)), "obstacles"))
+    total = sum(a.header.wall_s for a in run.artefacts.values())
+    shown.append((duration(total), "computing time"))
+    return "".join(f"<div><b>{text(b)}</b><span>{text(s)}</span></div>" for b, s in shown)
+
+
+def thumbnails(run: Run) -> str:
+    """Define the small pictures that the table of pairs uses, each once."""
+    defined = []
+    for k, image_id in enumerate(_pictured(run)):
+        uri, height = thumbnail(run.dataset.view(image_id).pixels)
+        defined.append(f'<image id="t{k}" width="{THUMB_WIDTH}" height="{height}" href="{uri}"/>')
+    return "\n".join(defined)
+
+
+def _pictured(run: Run) -> list[str]:
+    """Images of the pairs that are shown with pictures, in order."""
+    match = run.get(MatchBody)
+    pairs = match.body.pairs[:MOST_PAIR_PICTURES] if match else ()
+    return list(dict.fromkeys(name for row in pairs for name in (row.image_i, row.image_j)))
+
+
+def warnings(run: Run, figures: list[Json]) -> str:
+    """List what a reader should not overlook."""
+    found = list(run.warnings())
+    if not found:
+        return '<p class="soft">None: every picture was used.</p>'
+    return f'<ul class="warnings">{"".join(f"<li>{text(line)}</li>" for line in found)}</ul>'
+
+
+def maps(run: Run, figures: list[Json]) -> str:
+    """Draw the location graph of every component over its mosaic."""
+    slam, mosaic = run.get(SlamBody), run.get(MosaicBody)
+    if slam is None or mosaic is None:
+        return missing(run.missing["mosaic"])
+    found = run.get(ReconstructBody)
+    content = []
+    for k, part in enumerate(mosaic.body.components):
+        rows = found.body.obstacles if found and part.component == mosaic.body.component else ()
+        figures.append(map_figure(f"map-{k}", part, mosaic, slam.body, rows))
+        note = (
+            f"{len(part.images)} pictures, {part.coverage_m2:.2f} m² of ground at "
+            f"{1000 * mosaic.body.resolution:g} mm a pixel. Drag to move, turn the wheel to zoom."
+        )
+        content.append(plot(f"map-{k}", "tall", note))
+    return "".join([*content, _closing(slam.body)])
+
+
+def _closing(slam: SlamBody) -> str:
+    """Compare the map's loops with what plain concatenation gives."""
+    if not slam.closing:
+        return ""
+    before = 1000 * median(row.concatenated_m for row in slam.closing)
+    after = 1000 * median(row.adjusted_m for row in slam.closing)
+    return (
+        f'<p class="soft">Closing error of the {len(slam.closing)} loops and overlaps, median: '
+        f"{after:.2f} mm; plain concatenation of the motions: {before:.1f} mm.</p>"
+    )
+
+
+def space(run: Run, figures: list[Json]) -> str:
+    """Show obstacles, ground and cameras in 3D."""
+    slam, found = run.get(SlamBody), run.get(ReconstructBody)
+    if slam is None:
+        return missing(run.missing["slam"])
+    note = missing(run.missing["reconstruct"]) if found is None else ""
+    mesh = read_mesh(found.folder / "obstacles.ply") if found and found.body.obstacles else None
+    component = main_component(slam.body)
+    figures.append(scene_figure("space", slam.body, component, run.get(MosaicBody), mesh))
+    rows = found.body.obstacles if found else ()
+    listed = table(
+        ["obstacle", "height, m", "volume, l", "x, m", "y, m", "confidence", "views"],
+        [
+            (
+                cell(row.id),
+                number(row.height_m, 3),
+                number(1000 * row.volume_m3, 1),
+                number(row.centroid[0], 3),
+                number(row.centroid[1], 3),
+                number(row.confidence, 2),
+                number(row.views, 0),
+            )
+            for row in rows
+        ],
+    )
+    said = "Drag to turn, turn the wheel to zoom; the legend switches parts on and off."
+    return note + plot("space", "tall", said) + (listed if rows else "")
+
+
+def pairs(run: Run, figures: list[Json]) -> str:
+    """List all pairs with their match pictures."""
+    match = run.get(MatchBody)
+    if match is None:
+        return missing(run.missing["match"])
+    if not match.body.pairs:
+        return '<p class="soft">No pair was asked for.</p>'
+    points = match.arrays("match.npz")
+    number_of = {name: k for k, name in enumerate(_pictured(run))}
+    rows = []
+    for k, row in enumerate(match.body.pairs):
+        drawn = _pair_picture(run, row, k, points, number_of) if k < MOST_PAIR_PICTURES else ""
+        rows.append((f"<td>{drawn}</td>", *_pair_cells(run, row)))
+    heads = ["", "pictures", "verdict", "inliers", "of", "error, px", "distance, m", "yaw, °"]
+    more = len(rows) - MOST_PAIR_PICTURES
+    note = f'<p class="soft">The last {more} have no pictures here.</p>' if more > 0 else ""
+    return note + table(heads, rows, sortable=True)
+
+
+def _pair_cells(run: Run, row: PairRow) -> tuple[str, ...]:
+    motion = run.motions.get((row.image_i, row.image_j))
+    good = row.status == "ok"
+    verdict = "matched" if good else (row.reason or "rejected")
+    return (
+        f'<td class="name">{text(row.image_i)}<br>{text(row.image_j)}</td>',
+        cell(verdict, "good" if good else "bad"),
+        number(row.inliers, 0),
+        number(row.candidates, 0),
+        number(row.error_px),
+        number(motion.distance_m if motion else None, 3),
+        number(motion.yaw_deg if motion else None, 1),
+    )
+
+
+def _pair_picture(
+    run: Run, row: PairRow, k: int, points: Members, number_of: dict[str, int]
+) -> str:
+    """Draw two photographs side by side, with some of their matches."""
+    scales, heights = [], []
+    for name in (row.image_i, row.image_j):
+        camera = run.dataset.entry(name).camera
+        scales.append(THUMB_WIDTH / camera.width)
+        heights.append(round(camera.height * scales[-1]))
+    gap = 4
+    left, right = (
+        points[f"{k}/points_{side}"] * scale for side, scale in zip("ij", scales, strict=True)
+    )
+    chosen = np.unique(np.linspace(0, len(left) - 1, MOST_LINES).round().astype(int))
+    lines = "".join(
+        f"M{left[n, 0]:.0f} {left[n, 1]:.0f}L{right[n, 0] + THUMB_WIDTH + gap:.0f} "
+        f"{right[n, 1]:.0f}"
+        for n in (chosen if len(left) else ())
+    )
+    width = 2 * THUMB_WIDTH + gap
+    label = text(f"{row.image_i} and {row.image_j}, {row.inliers} matches")
+    return (
+        f'<svg class="pair" viewBox="0 0 {width} {max(heights)}" role="img" aria-label="{label}">'
+        f'<use href="#t{number_of[row.image_i]}"/>'
+        f'<use href="#t{number_of[row.image_j]}" x="{THUMB_WIDTH + gap}"/>'
+        f'<path d="{lines}" stroke="#21e6c1" stroke-width=".8" opacity=".85" fill="none"/></svg>'
+    )
+
+
+def overlaps(run: Run, figures: list[Json]) -> str:
+    """Draw the heat map of every pair of robots."""
+    artefact = run.get(OverlapBody)
+    if artefact is None:
+        return missing(run.missing["overlap"])
+    if not artefact.body.overlaps:
+        return '<p class="soft">There is one robot only, so nothing to compare.</p>'
+    distance = run.config.overlap.distance
+    arrays = artefact.arrays("overlap.npz")
+    robots = run.dataset.robots
+    content = []
+    for k, row in enumerate(artefact.body.overlaps):
+        first, second = row.robots
+        ids = ([e.image_id for e in robots[first]], [e.image_id for e in robots[second]])
+        values = arrays[f"{first}-{second}/{distance}"]
+        figures.append(overlap_figure(f"overlap-{k}", row, values, ids))
+        valid = sum(c.validated for c in row.candidates)
+        note = f"{first} and {second}: {valid} of {len(row.candidates)} candidates hold."
+        content.append(f"<div>{plot(f'overlap-{k}', '', note)}</div>")
+    said = f"Distance between colour histograms ({distance}); small means alike. Rings: validated."
+    return f'<p class="soft">{text(said)}</p><div class="two">{"".join(content)}</div>'
+
+
+def evolution(run: Run, figures: list[Json]) -> str:
+    """Draw the energy curve and show the stage's own pictures."""
+    artefact = run.get(ReconstructBody)
+    if artefact is None:
+        return missing(run.missing["reconstruct"])
+    body = artefact.body
+    content = []
+    if body.energy:
+        figures.append(energy_figure("energy", body))
+        state = "converged" if body.converged else "stopped"
+        note = f"{body.method}: {state} after {body.iterations} iterations."
+        content.append(plot("energy", "low", note))
+    else:
+        content.append(f'<p class="soft">{text(body.method)}: has no energy to draw.</p>')
+    for name, caption in PICTURES.items():
+        if name in artefact.header.files:
+            content.append(image(picture(artefact.folder / name), caption))
+    return "".join(content)
+
+
+def timings(run: Run, figures: list[Json]) -> str:
+    """Show how long every stage took."""
+    longest = max((a.header.wall_s for a in run.artefacts.values()), default=1.0) or 1.0
+    rows = []
+    for stage in STAGES:
+        artefact = run.artefacts.get(stage)
+        if artefact is None:
+            rows.append(f'<span>{stage}</span><span></span><span class="soft">not run</span>')
+            continue
+        share = 100 * artefact.header.wall_s / longest
+        bar = f'<i style="width:{share:.1f}%"></i>'
+        rows.append(f"<span>{stage}</span>{bar}<span>{duration(artefact.header.wall_s)}</span>")
+    return f'<div class="bars">{"".join(rows)}</div>'
+
+
+def settings(run: Run, figures: list[Json]) -> str:
+    """Print the whole configuration."""
+    shown = text(show_config(run.config))
+    return (
+        f"<details><summary>Every key, its value and its unit</summary><pre>{shown}</pre></details>"
+    )
+
+
+def provenance(run: Run, figures: list[Json]) -> str:
+    """Say from what everything was made, with checksums."""
+    rows = [
+        (cell(f"{stage}/{name}", "name"), cell(digest, "hash"))
+        for stage, artefact in run.artefacts.items()
+        for name, digest in [(artefact.body.file, artefact.digest), *artefact.header.files.items()]
+    ]
+    inputs = [
+        (cell(entry.image_id, "name"), cell(entry.sha256, "hash")) for entry in run.dataset.entries
+    ]
+    kept = "".join(missing(reason) for reason in dict.fromkeys(run.missing.values()))
+    results = table(["result", "sha256"], rows) if rows else ""
+    return (
+        f"{kept}<details><summary>{len(rows)} files of results</summary>{results}</details>"
+        f"<details><summary>{len(inputs)} pictures</summary>"
+        f"{table(['picture', 'sha256'], inputs)}</details>"
+    )
+
+
+Section: TypeAlias = Callable[[Run, list[Json]], str]
+
+SECTIONS: tuple[tuple[str, str, Section], ...] = (
+    ("warnings", "Warnings and skipped items", warnings),
+    ("maps", "Map and location graph", maps),
+    ("obstacles", "Obstacles in 3D", space),
+    ("pairs", "Pairs", pairs),
+    ("overlaps", "Overlaps", overlaps),
+    ("evolution", "Evolution", evolution),
+    ("timings", "Timings", timings),
+    ("settings", "Settings", settings),
+    ("provenance", "Provenance", provenance),
+)
+"""Anchor, title and maker of every section; a maker adds its diagrams to the list it is given."""
