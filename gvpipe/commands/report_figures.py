@@ -25,7 +25,7 @@ from gvpipe.records import (
 
 Json: TypeAlias = dict[str, object]
 
-EDGE_STYLE = {"odometry": "#e8e8e8", "loop": "#ffd24d", "overlap": "#ff6f91"}
+EDGE_STYLE = {"odometry": "#cfd8dc", "loop": "#ffd24d", "overlap": "#ff6f91"}
 """Colours of the location graph's edges over photographs of ground."""
 
 MOST_VERTICES = 40_000
@@ -240,7 +240,7 @@ def scene_figure(
     for k, robot in enumerate(dict.fromkeys(row.robot for row in poses)):
         rows = [row for row in poses if row.robot == robot]
         traces += _cameras(robot, rows, size, COLOURS[k % len(COLOURS)])
-    eye: Json = {"eye": {"x": -0.75, "y": -0.75, "z": 0.6}}
+    eye: Json = {"eye": {"x": -0.95, "y": -0.95, "z": 0.75}}
     axes: Json = {f"{a}axis": {"title": {"text": f"{a}, m"}} for a in "xyz"}
     scene: Json = {"aspectmode": "data", "camera": eye, **axes}
     return figure(name, traces, {"scene": scene, "margin": {"l": 0, "r": 0, "t": 36, "b": 0}})

@@ -72,8 +72,9 @@ def cards(run: Run) -> str:
         shown.append((f"{mosaic.body.coverage_m2:.1f} m²", "ground seen"))
     if found:
         shown.append((str(len(found.body.obstacles)), "obstacles"))
-    total = sum(a.header.wall_s for a in run.artefacts.values())
-    shown.append((duration(total), "computing time"))
+    if run.artefacts:
+        total = sum(a.header.wall_s for a in run.artefacts.values())
+        shown.append((duration(total), "computing time"))
     return "".join(f"<div><b>{text(b)}</b><span>{text(s)}</span></div>" for b, s in shown)
 
 
@@ -97,8 +98,14 @@ def warnings(run: Run, figures: list[Json]) -> str:
     """List what a reader should not overlook."""
     found = list(run.warnings())
     if not found:
-        return '<p class="soft">None: every picture was used.</p>'
+        return f'<p class="soft">{_nothing_wrong(run)}</p>'
     return f'<ul class="warnings">{"".join(f"<li>{text(line)}</li>" for line in found)}</ul>'
+
+
+def _nothing_wrong(run: Run) -> str:
+    if run.missing:
+        return f"None in the {len(run.artefacts)} of {len(STAGES)} stages shown here."
+    return "None: every picture was used."
 
 
 def maps(run: Run, figures: list[Json]) -> str:
@@ -136,7 +143,11 @@ def space(run: Run, figures: list[Json]) -> str:
     slam, found = run.get(SlamBody), run.get(ReconstructBody)
     if slam is None:
         return missing(run.missing["slam"])
-    note = missing(run.missing["reconstruct"]) if found is None else ""
+    note = ""
+    if found is None:
+        note = missing(run.missing["reconstruct"])
+    elif found.header.reason:
+        note = missing(f"No obstacles: {found.header.reason}.")
     mesh = read_mesh(found.folder / "obstacles.ply") if found and found.body.obstacles else None
     component = main_component(slam.body)
     figures.append(scene_figure("space", slam.body, component, run.get(MosaicBody), mesh))
