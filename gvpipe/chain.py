@@ -95,6 +95,7 @@ class Chain:
             if changed:
                 path = self.folder(stage) / body.file
                 raise InputError(f"{path}: stale, it {changed}; `{command}` makes it anew")
+            log.debug("read %s", escape(str(self.folder(stage) / body.file)))
             self._loaded[stage] = artefact
         return self._loaded[stage]
 
@@ -111,6 +112,9 @@ def open_images(config: Config, jobs: int) -> Dataset:
         dataset = open_dataset(config, jobs=jobs)
     except OSError as error:
         raise InputError(f"{escape(str(error.filename))}: {error.strerror}") from error
+    for robot, entries in dataset.robots.items():
+        first = entries[0].camera
+        log.debug("%s: %d pictures of %dx%d", robot, len(entries), first.width, first.height)
     for skipped in dataset.skipped:
         log.warning("skipped %s: %s", skipped.image, skipped.reason)
     return dataset

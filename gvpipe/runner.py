@@ -12,7 +12,7 @@ from gvpipe.config import Config
 from gvpipe.errors import InputError, NoResultError
 from gvpipe.output import locked, writing_to
 from gvpipe.records import Header
-from gvpipe.report import Reporter
+from gvpipe.report import Reporter, log
 from gvpipe.stages.contract import Context
 
 
@@ -63,6 +63,7 @@ def run_stage(
         context = Context(config, dataset, upstream, jobs, reporter.progress, checkpoints)
         stage = stage_module(name)
         outcome = stage.run(context)
+        log.debug("computed in %.1f s", time.monotonic() - started)
         header = Header(
             schema_id=schema_of(stage.BODY),
             gvpipe_version=__version__,
@@ -79,6 +80,7 @@ def run_stage(
             stage.write(outcome, staged)
             names = sorted(p.name for p in staged.iterdir())
             publish(staged, folder, header, outcome.body)
+        log.debug("written after %.1f s", time.monotonic() - started)
         checkpoints.sweep()
     rows = [
         ("images", f"{len(dataset.entries)} used, {len(header.skipped)} skipped"),
@@ -101,6 +103,10 @@ def _fresh(folder: Path, name: str, expected: Expectation) -> Artefact[Any] | No
     """Read the artefact that is there, if it is what would be made."""
     try:
         artefact = read_artefact(folder, stage_module(name).BODY)
-    except InputError:
+    except InputError as error:
+        log.debug("runs: %s", error)
         return None
-    return None if expected.mismatch(artefact.header) else artefact
+    changed = expected.mismatch(artefact.header)
+    if changed:
+        log.debug("runs anew: its artefact %s", changed)
+    return None if changed else artefact

@@ -51,8 +51,8 @@ class Run:
 
     @property
     def title(self) -> str:
-        """Name of the output folder."""
-        return escape(Path(self.config.output).name)
+        """Name of the output folder, and of the one it lies in."""
+        return escape("/".join(Path(self.config.output).parts[-2:]))
 
     @property
     def motions(self) -> dict[tuple[str, str], MotionRow]:

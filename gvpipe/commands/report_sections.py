@@ -33,6 +33,9 @@ from gvpipe.stages.contract import main_component
 MOST_PAIR_PICTURES = 400
 """Pairs shown with their pictures; the others have their numbers only."""
 
+MOST_WARNINGS = 8
+"""Warnings shown at once; the others unfold."""
+
 MOST_LINES = 24
 """Matches drawn in one pair's picture."""
 
@@ -99,7 +102,13 @@ def warnings(run: Run, figures: list[Json]) -> str:
     found = list(run.warnings())
     if not found:
         return f'<p class="soft">{_nothing_wrong(run)}</p>'
-    return f'<ul class="warnings">{"".join(f"<li>{text(line)}</li>" for line in found)}</ul>'
+    first, more = _list(found[:MOST_WARNINGS]), found[MOST_WARNINGS:]
+    rest = f"<details><summary>{len(more)} more</summary>{_list(more)}</details>" if more else ""
+    return first + rest
+
+
+def _list(lines: list[str]) -> str:
+    return f'<ul class="warnings">{"".join(f"<li>{text(line)}</li>" for line in lines)}</ul>'
 
 
 def _nothing_wrong(run: Run) -> str:
