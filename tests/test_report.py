@@ -10,7 +10,7 @@ import pytest
 
 from gvpipe.artefacts import read_artefact
 from gvpipe.cli import run
-from gvpipe.commands.report_figures import MOST_VERTICES, thinned
+from gvpipe.commands.report_space import MOST_VERTICES, thinned
 from gvpipe.core.reconstruct.mesh import Mesh
 from gvpipe.records import ReportBody
 from tests.conftest import STAGES, TinySet

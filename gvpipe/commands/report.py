@@ -9,9 +9,10 @@ from gvpipe import __version__
 from gvpipe.artefacts import canonical_json, publish, schema_of, staging
 from gvpipe.chain import STAGES, Chain, open_images, scale_source, stage_module, unreadable
 from gvpipe.commands.report_figures import Json
+from gvpipe.commands.report_pairs import thumbnails
 from gvpipe.commands.report_pictures import packed_library
 from gvpipe.commands.report_run import Run
-from gvpipe.commands.report_sections import SECTIONS, cards, subtitle, thumbnails
+from gvpipe.commands.report_sections import SECTIONS, cards, subtitle
 from gvpipe.commands.report_text import text
 from gvpipe.config import Config
 from gvpipe.configfile import section_sha256
