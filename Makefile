@@ -19,13 +19,13 @@ INPUTS  := $(CONFIG)
 
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help run all install dev test lint format bench faults fuzz fuzz-coverage audit samples clean distclean
+.PHONY: help run all install dev test lint format bench docs faults fuzz fuzz-coverage audit samples clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-run all: $(OUT)/reconstruct/obstacles.json $(OUT)/localize/localize.json ## run the whole chain on CONFIG (default: the sample)
-	@echo "artefacts of $(CONFIG) are in $(OUT)"
+run all: $(OUT)/report/report.json ## run the whole chain on CONFIG (default: the sample)
+	@echo "artefacts of $(CONFIG) are in $(OUT); look at $(OUT)/report/report.html"
 
 $(OUT)/match/match.json: $(INPUTS) $(STAMP)
 	$(call STAGE,match)
@@ -44,6 +44,9 @@ $(OUT)/mosaic/mosaic.json: $(OUT)/slam/slam.json
 
 $(OUT)/reconstruct/obstacles.json: $(OUT)/mosaic/mosaic.json
 	$(call STAGE,reconstruct)
+
+$(OUT)/report/report.json: $(OUT)/reconstruct/obstacles.json $(OUT)/localize/localize.json
+	$(GVPIPE) report $(CONFIG) --out $(OUT) --jobs $(JOBS)
 
 install: $(STAMP) ## set up gvpipe in $(VENV)
 
@@ -74,6 +77,9 @@ format: $(DEV) ## format the code
 
 bench: $(DEV) ## measure speed against named peers
 	@for f in tests/bench/bench_*.py; do echo "== $$f"; $(BIN)/python $$f || exit 1; done
+
+docs: $(DEV) ## render docs/ as a web site in runs/site
+	$(BIN)/mkdocs build --strict --quiet --site-dir runs/site
 
 faults: $(DEV) ## kill, interrupt and starve runs at random (half an hour; mounting a full disk needs root)
 	$(BIN)/python -m tests.faults.kills 200

@@ -32,6 +32,15 @@ COMMANDS = {
     "reconstruct": "Recover the obstacles' shape in 3D.",
 }
 
+EXAMPLES = {
+    "match": "gvpipe match mine.yaml --jobs 2; gvpipe match mine.yaml --set match.pairs=exhaustive",
+    "localize": "gvpipe localize mine.yaml",
+    "overlap": "gvpipe overlap team.yaml --set overlap.distance=chi2",
+    "slam": "gvpipe slam team.yaml --dry-run; gvpipe slam team.yaml --out runs/other",
+    "mosaic": "gvpipe mosaic mine.yaml --set mosaic.resolution=0.002 --memory-limit 2G",
+    "reconstruct": "gvpipe reconstruct mine.yaml --set reconstruct.method=visual-hull --force",
+}
+
 app = typer.Typer(
     name="gvpipe",
     help="Metric maps and 3D obstacles from ordinary photographs of a floor.",
@@ -65,6 +74,12 @@ MemoryLimit = Annotated[
         metavar="SIZE",
         help="Most memory for all processes together, for example 500M or 2G; exit code 7 beyond.",
         show_default="none",
+    ),
+]
+DryRun = Annotated[
+    bool,
+    typer.Option(
+        "--dry-run", help="Write nothing; say what is fresh, what would run, for how long."
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Run even if the artefact is fresh.")]
@@ -120,6 +135,7 @@ def _stage_command(name: str) -> Callable[..., None]:
         jobs: Jobs = None,
         memory_limit: MemoryLimit = None,
         force: Force = False,
+        dry_run: DryRun = False,
         quiet: Quiet = False,
         verbose: Verbose = False,
         log_json: LogJson = False,
@@ -135,18 +151,24 @@ def _stage_command(name: str) -> Callable[..., None]:
             keep_within(limit)
         from gvpipe.configfile import load_config
         from gvpipe.report import Reporter
-        from gvpipe.runner import run_stage
 
         reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
         loaded = load_config(config, tuple(overrides or ()), out)
+        if dry_run:
+            from gvpipe.plan import plan_stage
+
+            plan_stage(name, loaded, reporter, jobs=jobs, force=force)
+            return
+        from gvpipe.runner import run_stage
+
         run_stage(name, loaded, reporter, jobs=jobs, force=force)
 
     return command
 
 
 for _name, _help in COMMANDS.items():
-    _example = f"Example: gvpipe {_name} configs/example.yaml --jobs 2"
-    app.command(_name, cls=StageCommand, help=_help, epilog=_example)(_stage_command(_name))
+    _epilog = f"Examples: {EXAMPLES[_name]}\n\n{EXIT_CODES}"
+    app.command(_name, cls=StageCommand, help=_help, epilog=_epilog)(_stage_command(_name))
 
 add_tools(app)
 

@@ -311,3 +311,20 @@ class ReconstructBody(Body):
     energy: tuple[tuple[int, float], ...]
     iterations: int
     converged: bool
+
+
+class ReportedStage(Record):
+    """Whether a stage's artefact is in the report, and if not, why."""
+
+    stage: str
+    shown: bool
+    reason: str | None = None
+
+
+class ReportBody(Body):
+    """What the report's page was made from."""
+
+    stage: ClassVar[str] = "report"
+    file: ClassVar[str] = "report.json"
+    stages: tuple[ReportedStage, ...]
+    warnings: tuple[str, ...]

@@ -1,97 +1,19 @@
 """Run one stage: check what it needs, skip it if fresh, else compute and publish."""
 
-import importlib
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any
 
 from gvpipe import __version__
 from gvpipe.artefacts import Artefact, publish, read_artefact, schema_of, staging
+from gvpipe.chain import Chain, Expectation, open_images, scale_source, stage_module
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
-from gvpipe.configfile import section_sha256
-from gvpipe.dataset import Dataset, open_dataset
 from gvpipe.errors import InputError, NoResultError
-from gvpipe.names import escape
 from gvpipe.output import locked, writing_to
-from gvpipe.records import Body, Header, SkippedImage
+from gvpipe.records import Header
 from gvpipe.report import Reporter, log
-from gvpipe.stages.contract import Context, Stage
-
-STAGES = ("match", "localize", "overlap", "slam", "mosaic", "reconstruct")
-"""All commands of the chain, in their order."""
-
-
-def stage_module(name: str) -> Stage:
-    """Import one stage; importing them lazily keeps the command line quick."""
-    return cast(Stage, importlib.import_module(f"gvpipe.stages.{name}"))
-
-
-@dataclass(frozen=True)
-class _Expectation:
-    """What a fresh artefact must have been made from."""
-
-    config_sha256: str
-    inputs: dict[str, str]
-    skipped: tuple[SkippedImage, ...]
-
-    def mismatch(self, header: Header) -> str | None:
-        """Say what changed since an artefact was made, if anything."""
-        if header.gvpipe_version != __version__:
-            return f"was made by gvpipe {header.gvpipe_version}"
-        if header.config_sha256 != self.config_sha256:
-            return "was made with another configuration"
-        for name in sorted(self.inputs.keys() ^ header.inputs.keys()):
-            return f"{'lacks' if name in self.inputs else 'was made from the missing'} {name}"
-        for name, want in self.inputs.items():
-            if header.inputs[name] != want:
-                return f"was made from another version of {name}"
-        if header.skipped != self.skipped:
-            return "was made with other images skipped"
-        return None
-
-
-class _Chain:
-    """Artefacts of one output folder, checked against configuration and images."""
-
-    def __init__(self, config: Config, dataset: Dataset):
-        self._config, self._dataset = config, dataset
-        self._loaded: dict[str, Artefact[Any]] = {}
-
-    def folder(self, stage: str) -> Path:
-        """Folder of one stage's artefact."""
-        return Path(self._config.output) / stage
-
-    def needed(self, stage: str) -> dict[str, Artefact[Any]]:
-        """Load everything a stage reads, or say which command makes what is missing."""
-        bodies = stage_module(stage).needs(self._config)
-        return {body.stage: self.fresh(body) for body in bodies}
-
-    def expectation(self, stage: str) -> _Expectation:
-        """Work out what the stage's artefact must be made from to be fresh."""
-        inputs = {entry.image_id: entry.sha256 for entry in self._dataset.entries}
-        inputs |= {f"poses of {r}": h for r, h in self._dataset.pose_files.items()}
-        inputs |= {f"{n}/{a.body.file}": a.digest for n, a in self.needed(stage).items()}
-        sections = stage_module(stage).SECTIONS
-        digest = section_sha256(self._config, sections)
-        return _Expectation(digest, inputs, _unreadable(self._dataset))
-
-    def fresh(self, body: type[Body]) -> Artefact[Any]:
-        """Read an artefact and insist that it is up to date."""
-        stage = body.stage
-        if stage not in self._loaded:
-            command = f"gvpipe {stage} CONFIG"
-            try:
-                artefact = read_artefact(self.folder(stage), body)
-            except InputError as error:
-                raise InputError(f"{error}; `{command}` makes it") from None
-            changed = self.expectation(stage).mismatch(artefact.header)
-            if changed:
-                path = self.folder(stage) / body.file
-                raise InputError(f"{path}: stale, it {changed}; `{command}` makes it anew")
-            self._loaded[stage] = artefact
-        return self._loaded[stage]
+from gvpipe.stages.contract import Context
 
 
 def run_stage(
@@ -102,7 +24,7 @@ def run_stage(
     Parameters
     ----------
     name : str
-        One of :data:`STAGES`.
+        One of :data:`gvpipe.chain.STAGES`.
     config : Config
         The loaded configuration.
     reporter : Reporter
@@ -122,8 +44,8 @@ def run_stage(
         out.mkdir(parents=True, exist_ok=True)
     with locked(out, name):
         started = time.monotonic()
-        dataset = _opened(config, jobs)
-        chain = _Chain(config, dataset)
+        dataset = open_images(config, jobs)
+        chain = Chain(config, dataset)
         upstream = chain.needed(name)
         expected = chain.expectation(name)
         folder = chain.folder(name)
@@ -141,6 +63,7 @@ def run_stage(
         context = Context(config, dataset, upstream, jobs, reporter.progress, checkpoints)
         stage = stage_module(name)
         outcome = stage.run(context)
+        log.debug("computed in %.1f s", time.monotonic() - started)
         header = Header(
             schema_id=schema_of(stage.BODY),
             gvpipe_version=__version__,
@@ -148,7 +71,7 @@ def run_stage(
             inputs=expected.inputs,
             files={},
             seed=config.seed,
-            scale_source=_scale_source(config),
+            scale_source=scale_source(config),
             wall_s=round(time.monotonic() - started, 3),
             skipped=expected.skipped,
             reason=outcome.no_result,
@@ -157,6 +80,7 @@ def run_stage(
             stage.write(outcome, staged)
             names = sorted(p.name for p in staged.iterdir())
             publish(staged, folder, header, outcome.body)
+        log.debug("written after %.1f s", time.monotonic() - started)
         checkpoints.sweep()
     rows = [
         ("images", f"{len(dataset.entries)} used, {len(header.skipped)} skipped"),
@@ -175,31 +99,14 @@ def _conclude(name: str, no_result: str | None) -> None:
         raise NoResultError(f"{name}: no result: {no_result}")
 
 
-def _opened(config: Config, jobs: int) -> Dataset:
-    """Open the images, and say which cannot be used."""
-    try:
-        dataset = open_dataset(config, jobs=jobs)
-    except OSError as error:
-        raise InputError(f"{escape(str(error.filename))}: {error.strerror}") from error
-    for skipped in dataset.skipped:
-        log.warning("skipped %s: %s", skipped.image, skipped.reason)
-    return dataset
-
-
-def _unreadable(dataset: Dataset) -> tuple[SkippedImage, ...]:
-    return tuple(SkippedImage(image=s.image, reason=s.reason) for s in dataset.skipped)
-
-
-def _fresh(folder: Path, name: str, expected: _Expectation) -> Artefact[Any] | None:
+def _fresh(folder: Path, name: str, expected: Expectation) -> Artefact[Any] | None:
     """Read the artefact that is there, if it is what would be made."""
     try:
         artefact = read_artefact(folder, stage_module(name).BODY)
-    except InputError:
+    except InputError as error:
+        log.debug("runs: %s", error)
         return None
-    return None if expected.mismatch(artefact.header) else artefact
-
-
-def _scale_source(config: Config) -> Literal["height", "poses", "control"]:
-    if all(robot.poses is not None for robot in config.robots.values()):
-        return "poses"
-    return "control" if config.slam.control else "height"
+    changed = expected.mismatch(artefact.header)
+    if changed:
+        log.debug("runs anew: its artefact %s", changed)
+    return None if changed else artefact

@@ -5,7 +5,7 @@ Nothing heavy is imported here before a command runs, so that ``gvpipe --help`` 
 
 import typer
 
-from gvpipe.tools import calibrate, evaluate, init, synth
+from gvpipe.tools import calibrate, evaluate, init, report, synth
 
 
 def add_tools(app: typer.Typer) -> None:
@@ -14,3 +14,4 @@ def add_tools(app: typer.Typer) -> None:
     calibrate.add(app)
     synth.add(app)
     evaluate.add(app)
+    report.add(app)

@@ -1,0 +1,51 @@
+"""What -q, -v and --log-json let through."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from gvpipe.cli import run
+from tests.conftest import TinySet
+
+
+@pytest.fixture
+def damaged(tiny: TinySet, tmp_path: Path) -> tuple[str, ...]:
+    """Arguments of a quick command on three pictures, one of them damaged."""
+    (tmp_path / "A").mkdir()
+    for k in (0, 1):
+        shutil.copyfile(tiny.config.parent / "A" / f"{k}.png", tmp_path / "A" / f"{k}.png")
+    (tmp_path / "A" / "2.png").write_bytes(b"damaged")
+    (tmp_path / "a.yaml").write_text(tiny.config.read_text().split("  B:")[0])
+    return ("match", str(tmp_path / "a.yaml"), "--out", str(tmp_path / "run"))
+
+
+def test_each_switch_does_what_it_says(
+    damaged: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*damaged]) == 0
+    plain = capsys.readouterr()
+    assert "1 of 1 matched" in plain.out
+    assert "skipped A/2.png" in plain.err
+    assert run([*damaged, "-q", "--force"]) == 0
+    quiet = capsys.readouterr()
+    assert quiet.out == quiet.err == ""
+    assert run([*damaged, "-v", "--set", "seed=1"]) == 0
+    verbose = capsys.readouterr()
+    assert "runs anew: its artefact was made with another configuration" in verbose.err
+    assert "computed in" in verbose.err
+    assert run([*damaged, "-v", "--log-json", "--force"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert {row["level"] for row in rows} == {"debug", "warning"}
+    assert all(set(row) == {"time", "level", "message"} for row in rows)
+    assert run([*damaged, "-q", "-v"]) == 2
+
+
+def test_errors_are_said_even_in_silence(
+    damaged: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["slam", *damaged[1:], "-q"]) == 4
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "`gvpipe match CONFIG` makes it" in shown.err
