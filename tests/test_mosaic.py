@@ -163,7 +163,15 @@ def test_half_is_the_printed_rule():
         count = np.full((1, 1), n, np.int16)
         kernel = BLENDS["half"].kernel
         error = np.zeros((1, 1), np.uint8)
-        kernel(samples.copy(), density.copy(), room.clean, room.light, count, rgba, error)
+        kernel(
+            samples.copy(),
+            density.copy(),
+            room.clean,
+            np.ones((1, 1), np.float32),
+            count,
+            rgba,
+            error,
+        )
         np.testing.assert_allclose(rgba[0, 0, :3], expected, atol=0.51)
 
 

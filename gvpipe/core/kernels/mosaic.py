@@ -8,19 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
+from gvpipe.core.kernels.median import median
 
 Single = NDArray[np.float32]
 
 
-FEATHER = 0.1
-"""Share of the image's sides over which the weight of its light rises to 1."""
-
 CLEAN_SHARE = 0.5
 """Samples are used down to this share of the cleanest one's weight."""
-
-COARSE_SHARE = 1.0 / 27.0
-"""Samples are used down to this share of the highest density among the clean ones: at three times
-the depth a sample is nine times longer and only blurs."""
 
 PRIOR_VARIANCE = np.float32(100.0)
 """Variance of one sample's brightness as good as known beforehand: 10 grey levels, grain and an
@@ -84,7 +78,6 @@ def sample_view(
     colours: Single,
     density: Single,
     clean: Single,
-    light: Single,
     count: NDArray[np.int16],
 ) -> None:
     """Add one picture's bilinear samples to a tile.
@@ -105,7 +98,6 @@ def sample_view(
     )
     radius2, falloff = lens[2] * lens[2], lens[4]
     dark = np.exp(-lens[3])
-    rise_u, rise_v = 1.0 / (FEATHER * u_last), 1.0 / (FEATHER * v_last)
     h, width = clean_map.shape
     for v in range(count.shape[0]):
         cell_v = min(max(cells[0] * v + cells[2], 0.0), h - 1.0)
@@ -139,9 +131,6 @@ def sample_view(
             upper = clean_map[j, i] + gu * (np.float64(clean_map[j, i1]) - clean_map[j, i])
             lower = clean_map[j1, i] + gu * (np.float64(clean_map[j1, i1]) - clean_map[j1, i])
             clean[v, u, k] = (upper + gv * (lower - upper)) / 255.0
-            inward = min(min(x, u_last - x) * rise_u, 1.0) * min(min(y, v_last - y) * rise_v, 1.0)
-            light[v, u, k, 0] = np.float32(1.0) / correction
-            light[v, u, k, 1] = inward * min((1.0 - w / max_depth) / FEATHER, 1.0) + 1e-3
             count[v, u] = k + 1
 
 
@@ -234,7 +223,7 @@ def blend_robust(
     rgba: NDArray[np.uint8],
     error: NDArray[np.uint8],
 ) -> None:
-    """Median of the clean samples of each pixel, in the mean light of all of them.
+    """Median of the clean samples of each pixel, in the pixel's light.
 
     Changes the order of `colours`.
     """
@@ -243,21 +232,13 @@ def blend_robust(
             n = int(count[v, u])
             if n == 0:
                 continue
-            cleanest, weight, lit = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            cleanest = np.float32(0.0)
             for k in range(n):
                 cleanest = max(cleanest, clean[v, u, k])
-                weight += light[v, u, k, 1]
-                lit += light[v, u, k, 0] * light[v, u, k, 1]
-            finest = np.float32(0.0)
-            for k in range(n):
-                if clean[v, u, k] >= CLEAN_SHARE * cleanest:
-                    finest = max(finest, density[v, u, k])
             p, m = colours[v, u], 0
             total, squares = np.float32(0.0), np.float32(0.0)
             for k in range(n):
-                if clean[v, u, k] >= CLEAN_SHARE * cleanest and (
-                    density[v, u, k] >= COARSE_SHARE * finest
-                ):
+                if clean[v, u, k] >= CLEAN_SHARE * cleanest:
                     value = (p[k, 0] + p[k, 1] + p[k, 2]) / np.float32(3.0)
                     total += value
                     squares += value * value
@@ -266,12 +247,6 @@ def blend_robust(
                     m += 1
             error[v, u] = error_steps(total, squares, m)
             for c in range(3):
-                for k in range(1, m):
-                    value, at = p[k, c], k
-                    while at > 0 and p[at - 1, c] > value:
-                        p[at, c] = p[at - 1, c]
-                        at -= 1
-                    p[at, c] = value
-                middle = (p[m // 2, c] + p[(m - 1) // 2, c]) * np.float32(0.5) * (lit / weight)
+                middle = median(p[:, c], m) * light[v, u]
                 rgba[v, u, c] = np.uint8(min(middle + np.float32(0.5), np.float32(255.0)))
             rgba[v, u, 3] = 255

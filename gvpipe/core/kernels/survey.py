@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
+from gvpipe.core.kernels.median import median
 
 Single = NDArray[np.float32]
 
@@ -168,3 +169,25 @@ def agree(
                     c = colours[v, u, k]
                     s = (c[0] - r) ** 2 + (c[1] - g) ** 2 + (c[2] - b) ** 2
                     clean[v, u, k] = np.exp(fit * s)
+
+
+@kernel
+def median_light(brightness: Single, clean: Single, share: float, light: Single) -> None:
+    """Median brightness of the clean views of each cell; NaN where no view sees it.
+
+    `brightness` (h, w, n) is that of each view there; clean are the views down to `share` of the
+    cleanest one's weight.
+    """
+    h, w, n = clean.shape
+    few = np.empty(n, np.float32)
+    for v in range(h):
+        for u in range(w):
+            cleanest = np.float32(0.0)
+            for k in range(n):
+                cleanest = max(cleanest, clean[v, u, k])
+            m = 0
+            for k in range(n):
+                if clean[v, u, k] > 0.0 and clean[v, u, k] >= share * cleanest:
+                    few[m] = brightness[v, u, k]
+                    m += 1
+            light[v, u] = median(few, m) if m > 0 else np.nan

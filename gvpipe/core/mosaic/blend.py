@@ -24,9 +24,6 @@ class Samples:
         Image pixels per map pixel.
     clean : (h, w, n) float32
         How surely the sample shows ground, 0 to 1.
-    light : (h, w, n, 2) float32
-        The brightness that was taken out, and its weight: less towards the edges of the image,
-        so that a weighted mean changes without steps.
     count : (h, w) int16
         Samples of each pixel.
     """
@@ -34,7 +31,6 @@ class Samples:
     colours: Single
     density: Single
     clean: Single
-    light: Single
     count: Counts
 
     @classmethod
@@ -45,7 +41,6 @@ class Samples:
             colours=np.empty((*shape, 3), np.float32),
             density=np.empty(shape, np.float32),
             clean=np.empty(shape, np.float32),
-            light=np.empty((*shape, 2), np.float32),
             count=np.zeros((height, width), np.int16),
         )
 
@@ -57,8 +52,8 @@ class Blend:
     Attributes
     ----------
     kernel : callable
-        Fills ``rgba`` (h, w, 4) and ``error`` (h, w) uint8 from the arrays of :class:`Samples`,
-        which it may reorder.
+        Fills ``rgba`` (h, w, 4) and ``error`` (h, w) uint8 from the colours, densities and clean
+        weights of :class:`Samples`, which it may reorder, the light (h, w) and the counts.
     surveys : bool
         Whether samples are weighed and balanced by the survey of obstacles and exposures.
     """
@@ -78,8 +73,8 @@ BLENDS: dict[str, Blend] = {
 
 robust
     Views that show an obstacle there are left out by the survey; the median of the others,
-    balanced in exposure and vignetting, is lit as the views are lit on average, with weights that
-    vanish at the edges of the images. The default.
+    balanced in exposure and vignetting, is lit as the survey found the ground lit around there.
+    The default.
 half
     The sample farthest from the mean colour is dropped until half remain, and those are averaged
     (thesis 3.2.1, steps 1 to 4).

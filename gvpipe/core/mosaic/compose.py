@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -174,12 +175,28 @@ class Composition:
             samples.colours,
             samples.density,
             samples.clean,
-            samples.light,
+            self._light(left, band.row + top, width, height),
             samples.count,
             rgba,
             error,
         )
         band.views[window] = np.minimum(samples.count, MOST_VIEWS)
+
+    def _light(self, column: int, row: int, width: int, height: int) -> NDArray[np.float32]:
+        """Light of the ground in the pixels of a tile, (height, width)."""
+        if not self._blend.surveys:
+            return np.ones((height, width), np.float32)
+        f = self.survey.factor
+        # cell centres lie in the middle of their pixels
+        u, v = (
+            (first + np.arange(n) - (f - 1) / 2) / f
+            for first, n in ((column, width), (row, height))
+        )
+        left, top = max(int(np.floor(u[0])), 0), max(int(np.floor(v[0])), 0)
+        cells = self.survey.light[top : int(v[-1]) + 2, left : int(u[-1]) + 2]
+        x, y = np.meshgrid((u - left).astype(np.float32), (v - top).astype(np.float32))
+        light = cv2.remap(cells, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(light, dtype=np.float32)
 
     def _sample(self, k: int, column: int, row: int, samples: Samples) -> None:
         """Add one view to the samples of a tile."""
@@ -212,7 +229,6 @@ class Composition:
             samples.colours,
             samples.density,
             samples.clean,
-            samples.light,
             samples.count,
         )
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels import survey as kernels
+from gvpipe.core.kernels.mosaic import CLEAN_SHARE
 from gvpipe.core.mosaic.cleanmap import CleanMap
 from gvpipe.core.mosaic.exposure import Exposure, balance
 from gvpipe.core.mosaic.groundcolours import GroundColours, colour_bins
@@ -58,6 +59,10 @@ SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
 MAX_SPOTS = 60_000
 """Spots in the estimate of exposures: some hundred for each of hundreds of views."""
 
+LIGHT_CELLS = 2.0
+"""Deviation of the smoothing of the light, cells: its steps at the edges of views become too
+gentle to see."""
+
 LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
 
@@ -80,6 +85,8 @@ class Survey:
         One of each view.
     borders : tuple of Border
         Of the pictures.
+    light : (H, W) float32
+        How bright the clean views show each cell, against the balanced exposure; smooth.
     log_odds : (H, W) float16
         Evidence of an obstacle in each cell, negative = free ground.
     covered_m2 : float
@@ -91,6 +98,7 @@ class Survey:
     exposure: Exposure
     clean: tuple[CleanMap, ...]
     borders: tuple[Border, ...]
+    light: Single
     log_odds: NDArray[np.float16]
     covered_m2: float
 
@@ -166,12 +174,14 @@ class _Surveyor:
         known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
         maps = [CleanMap.blank(p, self.cells) for p in self.placed]
         evidence = np.zeros((self.cells.height, self.cells.width), np.float16)
+        light = np.full(evidence.shape, np.nan, np.float32)
         covered = 0
         judged = in_order(
             lambda t: self._judge(t, exposure, known.around(t)), self.tiles, self.jobs
         )
-        for tile, (look, clean, odds) in zip(self.tiles, judged, strict=True):
-            evidence[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE] = odds
+        for tile, (look, clean, lit, odds) in zip(self.tiles, judged, strict=True):
+            here = np.s_[tile[0] : tile[0] + TILE, tile[1] : tile[1] + TILE]
+            light[here], evidence[here] = lit, odds
             inner = look.radii[MARGIN:-MARGIN, MARGIN:-MARGIN]
             covered += int((inner >= 0).any(axis=2).sum())
             for k, weights in zip(look.views, np.moveaxis(clean, 2, 0), strict=True):
@@ -182,6 +192,7 @@ class _Surveyor:
             exposure,
             tuple(maps),
             tuple(s.border for s in self.sights),
+            _smooth_light(light),
             evidence,
             covered * self.cells.resolution**2,
         )
@@ -270,10 +281,14 @@ class _Surveyor:
         i, j = s[:, 0].astype(np.intp), s[:, 1].astype(np.intp)
         return balance(i, j, s[:, 2], s[:, 3:], camera_of)
 
+    def _brightness(self, look: _Look, exposure: Exposure) -> Single:
+        """How bright each view shows its cells, against the balanced exposure; (h, w, n)."""
+        gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
+        return np.exp(gain).astype(np.float32)
+
     def _vote(self, look: _Look, exposure: Exposure) -> tuple[Single, Single, Single]:
         """Balanced colours, weights and support of a tile's views."""
-        gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
-        colours = look.colours * np.exp(-gain)[..., None].astype(np.float32)
+        colours = look.colours / self._brightness(look, exposure)[..., None]
         weights, support = np.empty_like(look.radii), np.empty_like(look.radii)
         m = self.cells.map_from_pixel
         kernels.vote(
@@ -306,25 +321,26 @@ class _Surveyor:
 
     def _judge(
         self, tile: tuple[int, int], exposure: Exposure, likelihood: Single
-    ) -> tuple[_Look, NDArray[np.uint8], Single]:
-        """Clean weights (h, w, n) and log odds (h, w) of a tile, its margin cut off."""
+    ) -> tuple[_Look, NDArray[np.uint8], Single, Single]:
+        """Clean weights (h, w, n), light and log odds (h, w) of a tile, its margin cut off."""
         look = self._look(tile)
         inner = np.s_[MARGIN : len(look.radii) - MARGIN, MARGIN : look.radii.shape[1] - MARGIN]
         clean = np.zeros_like(look.radii)
-        if not len(look.views):
-            return look, clean[inner].astype(np.uint8), np.zeros(clean[inner].shape[:2], np.float32)
-        colours, weights, support = self._vote(look, exposure)
-        seen = look.radii >= 0
-        known = likelihood[colour_bins(colours)]
-        support = _smooth(support + COLOUR_WEIGHT * known, seen)
-        kernels.agree(colours, look.radii, support, LIKE, FIT, clean)
-        # one direction alone cannot tell ground from the side of an obstacle; its colour helps
-        best = np.where(seen, support, -np.inf).argmax(axis=2)[..., None]
-        colour = np.take_along_axis(known, best, axis=2)[..., 0]
-        odds = LOG_ODDS * ((weights * (1.0 - 2.0 * clean)).sum(axis=2) - COLOUR_WEIGHT * colour)
-        odds[~seen.any(axis=2)] = 0.0
+        light, odds = np.full(clean.shape[:2], np.nan, np.float32), np.zeros(clean.shape[:2])
+        if len(look.views):
+            colours, weights, support = self._vote(look, exposure)
+            seen = look.radii >= 0
+            known = likelihood[colour_bins(colours)]
+            support = _smooth(support + COLOUR_WEIGHT * known, seen)
+            kernels.agree(colours, look.radii, support, LIKE, FIT, clean)
+            kernels.median_light(self._brightness(look, exposure), clean, CLEAN_SHARE, light)
+            # one direction alone cannot tell ground from the side of an obstacle; its colour helps
+            best = np.where(seen, support, -np.inf).argmax(axis=2)[..., None]
+            colour = np.take_along_axis(known, best, axis=2)[..., 0]
+            against = (weights * (1.0 - 2.0 * clean)).sum(axis=2)
+            odds = np.where(seen.any(axis=2), LOG_ODDS * (against - COLOUR_WEIGHT * colour), 0.0)
         rounded = np.rint(255 * clean[inner]).astype(np.uint8)
-        return look, rounded, odds[inner].astype(np.float32)
+        return look, rounded, light[inner], odds[inner].astype(np.float32)
 
 
 def _shift(column: int, row: int) -> Float:
@@ -342,3 +358,12 @@ def _smooth(values: Single, seen: NDArray[np.bool_]) -> Single:
         share = np.maximum(cv2.blur(here, size), np.float32(1e-6))
         out[..., k] = cv2.blur(filled, size) / share
     return out
+
+
+def _smooth_light(light: Single) -> Single:
+    """Gaussian mean of the known cells around each cell; 1 where none is."""
+    known = np.isfinite(light).astype(np.float32)
+    size = (0, 0)
+    share = cv2.GaussianBlur(known, size, LIGHT_CELLS)
+    total = cv2.GaussianBlur(np.where(known > 0, light, np.float32(0.0)), size, LIGHT_CELLS)
+    return np.divide(total, share, out=np.ones_like(light), where=share > 1e-6)
