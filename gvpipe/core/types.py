@@ -37,6 +37,12 @@ class Camera:
         """The (3, 3) calibration matrix K, pixels from camera rays (x right, y down, z ahead)."""
         return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @property
+    def inverse(self) -> Float:
+        """The (3, 3) inverse of :attr:`matrix`, camera rays from pixels, in closed form."""
+        a, b, s = 1.0 / self.fx, 1.0 / self.fy, self.skew / (self.fx * self.fy)
+        return np.array([[a, -s, s * self.cy - a * self.cx], [0.0, b, -b * self.cy], [0, 0, 1.0]])
+
 
 @dataclass(frozen=True)
 class Mount:

@@ -93,7 +93,7 @@ class TwoView:
         return np.asarray(
             pair_homography(
                 self.parameters,
-                np.linalg.inv(self.camera_i.matrix).astype(np.float64),
+                self.camera_i.inverse,
                 self.camera_j.matrix,
                 self.mount_i.height,
                 self.mount_j.height,
@@ -197,7 +197,7 @@ def fit_two_views(
         expected.parameters,
         prior.weights,
         _limits(expected, prior.limit),
-        np.linalg.inv(start.camera_i.matrix).astype(np.float64),
+        start.camera_i.inverse,
         start.camera_j.matrix,
         start.mount_i.height,
         start.mount_j.height,

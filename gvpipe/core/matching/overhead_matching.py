@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gvpipe.core.geometry.homography import transfer_errors
 from gvpipe.core.geometry.twoview import PairPrior, TwoView, two_views
 from gvpipe.core.matching.features import Features, MatchOptions
 from gvpipe.core.matching.hypotheses import INLIER_PX, Matches, find_hypotheses
-from gvpipe.core.matching.patches import COARSENESS, Aligned, Pyramid, align, grey_pyramid
+from gvpipe.core.matching.patches import COARSENESS, Aligned, Pyramid, align, grey_pyramid, texture
 from gvpipe.core.matching.rivals import lower_plane, repetitions, shifted
 from gvpipe.core.matching.sift import candidate_matches
 from gvpipe.core.matching.verdict import Evidence, objection, weigh
@@ -33,6 +34,7 @@ class _Pair:
 
     expected: TwoView
     prior: PairPrior
+    texture_i: NDArray[np.float32]
     pyramids: tuple[Pyramid, Pyramid]
     matches: Matches
     options: MatchOptions
@@ -72,7 +74,14 @@ def _examine(
     pair: _Pair, start: TwoView, geometry: TwoView, coarseness: tuple[float, ...] = COARSENESS
 ) -> _Candidate | None:
     """Align the ground patches of a geometry and weigh what they say."""
-    aligned = align(geometry, pair.expected, pair.prior, *pair.pyramids, coarseness=coarseness)
+    aligned = align(
+        geometry,
+        pair.expected,
+        pair.prior,
+        pair.texture_i,
+        *pair.pyramids,
+        coarseness=coarseness,
+    )
     if aligned is None:
         return None
     covariance = aligned.fit.homography_covariance
@@ -167,6 +176,7 @@ def match_sift(
         prior=PairPrior(
             tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
         ),
+        texture_i=texture(view_i.pixels),
         pyramids=(grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)),
         matches=matches,
         options=options,

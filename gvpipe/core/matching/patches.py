@@ -41,7 +41,13 @@ def grey_pyramid(pixels: Image) -> Pyramid:
     return tuple(levels)
 
 
-def textured_points(grey: NDArray[np.uint8], geometry: TwoView, max_range: float) -> Float:
+def texture(pixels: Image) -> NDArray[np.float32]:
+    """How much of a corner each pixel's surroundings are, (H, W)."""
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+    return cv2.cornerMinEigenVal(grey, 5).astype(np.float32, copy=False)
+
+
+def textured_points(texture_i: NDArray[np.float32], geometry: TwoView, max_range: float) -> Float:
     """Pick the best corner, (N, 2) pixels of i, of every cell of ground that both cameras see."""
     camera = geometry.camera_i
     u, v = np.meshgrid(np.arange(8.0, camera.width, 16.0), np.arange(8.0, camera.height, 16.0))
@@ -49,9 +55,8 @@ def textured_points(grey: NDArray[np.uint8], geometry: TwoView, max_range: float
     shared = _shared(coarse, geometry, max_range).mean()
     area = shared * camera.width * camera.height
     cell = int(np.clip(np.sqrt(area / _WANTED), _MIN_CELL_PX, _MAX_CELL_PX))
-    response = cv2.cornerMinEigenVal(grey, 5)
     rows, columns = camera.height // cell, camera.width // cell
-    blocks = response[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
+    blocks = texture_i[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell)
     best = blocks.swapaxes(1, 2).reshape(rows, columns, cell * cell).argmax(axis=2)
     v = np.arange(rows)[:, None] * cell + best // cell
     u = np.arange(columns)[None, :] * cell + best % cell
@@ -108,6 +113,7 @@ def align(
     geometry: TwoView,
     expected: TwoView,
     prior: PairPrior,
+    texture_i: NDArray[np.float32],
     pyramid_i: Pyramid,
     pyramid_j: Pyramid,
     max_range: float = MAX_RANGE,
@@ -121,6 +127,8 @@ def align(
         Where to start, and the configuration that `prior` speaks of.
     prior : PairPrior
         Error of the configuration.
+    texture_i : (H, W) float32
+        From :func:`texture`.
     pyramid_i, pyramid_j : tuple of (h, w) uint8
         From :func:`grey_pyramid`.
     max_range : float
@@ -133,7 +141,7 @@ def align(
     aligned : Aligned or None
         None if fewer than eight patches could be aligned in the last round.
     """
-    points_i = textured_points(pyramid_i[0], geometry, max_range)
+    points_i = textured_points(texture_i, geometry, max_range)
     for spread in coarseness:
         result: Aligned | None = None
         points_i = points_i[_shared(points_i, geometry, max_range)]

@@ -109,7 +109,9 @@ def _detect(view: Grey, grid: OverheadGrid, camera: Camera, mount: Mount) -> lis
     steps = np.sqrt(np.diff(sigmas**2, prepend=_DRAWN_SIGMA**2))
     smooth: list[NDArray[np.float32]] = [view.astype(np.float32)]
     for step in steps:
-        smooth.append(cv2.GaussianBlur(smooth[-1], (0, 0), float(step)).astype(np.float32))
+        smooth.append(
+            cv2.GaussianBlur(smooth[-1], (0, 0), float(step)).astype(np.float32, copy=False)
+        )
     smooth = smooth[1:]
     difference: list[NDArray[np.float32]] = [b - a for a, b in pairwise(smooth)]
     pixel_from_overhead = pixel_from_ground(camera, mount) @ grid.ground_from_overhead
