@@ -97,6 +97,7 @@ class PairRow(Record):
     image_j: str
     status: Literal["ok", "rejected"]
     reason: str | None = None
+    probability: float | None = None
     H: Matrix3 | None = None
     inliers: int = 0
     candidates: int = 0

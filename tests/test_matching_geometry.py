@@ -7,6 +7,7 @@ from gvpipe.core.geometry.ground import pixel_from_ground, pixel_from_plane
 from gvpipe.core.geometry.homography import apply, normalise
 from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.geometry.twoview import PairPrior, TwoView, fit_two_views, two_views
+from gvpipe.core.kernels.matching import SIZE, nearest_two
 from gvpipe.core.matching.features import MatchOptions
 from gvpipe.core.matching.rivals import plane_at, repetitions, shifted
 from gvpipe.core.matching.sift import candidate_matches, extract_sift
@@ -138,3 +139,21 @@ def test_keypoints_turn_with_the_robot(yaw_deg: float) -> None:
     # what lies ahead of i is turned back by the yaw of j
     assert np.degrees(np.angle(np.exp(1j * (turn + yaw)).mean())) == pytest.approx(0.0, abs=3.0)
     assert np.median(np.log(b.size[j] / a.size[i])) == pytest.approx(0.0, abs=0.05)
+
+
+def test_nearest_descriptors_are_exact_within_their_rows() -> None:
+    rng = np.random.default_rng(2)
+    a, b = (rng.choice([0, 3, 250, 255], (n, SIZE)).astype(np.uint8) for n in (300, 40))
+    first = rng.integers(0, 38, 300)
+    last = np.minimum(first + rng.integers(0, 30, 300), 40)
+    nearest, ratio = nearest_two(a, b, first, last)
+    for k in range(len(a)):
+        square = ((a[k].astype(int) - b[first[k] : last[k]].astype(int)) ** 2).sum(axis=1)
+        if len(square):
+            assert nearest[k] == first[k] + square.argmin()
+        best = np.sort(square)
+        assert ratio[k] == (np.sqrt(best[0] / best[1]) if len(square) > 1 else 1.0)
+
+
+def test_inverse_intrinsics_take_pixels_to_rays() -> None:
+    np.testing.assert_allclose(OTHER.inverse @ OTHER.matrix, np.eye(3), atol=1e-15)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from gvpipe.core.geometry.ground import pixel_from_ground
+from gvpipe.core.geometry.twoview import PairFit, PairPrior, two_views
 from gvpipe.core.kernels.patches import BLANK, LEAVES, align_patches
 from gvpipe.core.matching.features import MatchOptions
-from gvpipe.core.matching.patches import grey_pyramid
-from gvpipe.core.matching.verdict import Evidence, objection
+from gvpipe.core.matching.patches import Aligned, grey_pyramid
+from gvpipe.core.matching.verdict import Evidence, objection, weigh
 from gvpipe.core.types import Float
 from tests.synthetic import CAMERA, Scene, texture, view_at
 
@@ -67,3 +68,16 @@ def test_verdict_names_numbers_and_thresholds() -> None:
     loose = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=9.0, drift=0.05)
     assert "9.0 px" in str(objection(loose, options))
     assert loose.probability < 0.2
+
+
+def test_a_plane_far_from_the_configured_tilts_needs_more_patches() -> None:
+    view, _ = view_at(Scene(texture(np.random.default_rng(3))), 0, 0, 0, 40)
+    expected, prior = two_views(view, view), PairPrior(*np.radians([3.0, 3.0, 3.0]), 0.03)
+    points, agrees = np.full((100, 2), 150.0), np.arange(100) < 16
+    odds = []
+    for off_deg in (0.0, 3.0, 12.0):
+        turned = expected.parameters + np.radians(off_deg) * (np.arange(8) == 6)
+        fit = PairFit(expected.with_parameters(turned), 0.0, np.eye(8))
+        found = Aligned(fit, points, points, np.ones(100), np.zeros((100, 2, 2)), agrees)
+        odds.append(weigh(found, np.zeros((9, 9)), expected, prior).log10_odds)
+    np.testing.assert_allclose(odds[0] - np.array(odds), np.log10(np.exp([0.0, 0.5, 8.0])))

@@ -147,12 +147,15 @@ class Rejected:
         What was measured against which threshold, in one sentence.
     candidates, trials, inliers : int
         How far the attempt came.
+    probability : float
+        That what was found is right all the same.
     """
 
     reason: str
     candidates: int = 0
     trials: int = 0
     inliers: int = 0
+    probability: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def _examine(
     if aligned is None:
         return None
     covariance = aligned.fit.homography_covariance
-    evidence = weigh(aligned, covariance, pair.expected)
+    evidence = weigh(aligned, covariance, pair.expected, pair.prior)
     return _Candidate(start, aligned, covariance, evidence, objection(evidence, pair.options))
 
 
@@ -189,12 +189,14 @@ def match_sift(
             candidates=candidates,
             trials=trials,
         )
-    reason = best.objection
+    reason, equals = best.objection, 1.0
     if reason is None:
         best = _lowest(pair, best)
         reason = _ambiguity(pair, best, view_i)
+        equals = 2.0  # the rival is as likely
     if reason is not None:
-        return Rejected(reason, candidates, trials, best.evidence.inliers)
+        probability = best.evidence.probability / equals
+        return Rejected(reason, candidates, trials, best.evidence.inliers, probability)
     return _accepted(best, candidates, trials)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binom
 
-from gvpipe.core.geometry.twoview import TwoView
+from gvpipe.core.geometry.twoview import PairPrior, TwoView
 from gvpipe.core.kernels.patches import BLANK
 from gvpipe.core.matching.features import MatchOptions
 from gvpipe.core.matching.patches import Aligned
@@ -30,7 +30,8 @@ class Evidence:
     inliers, tested : int
         Patches that agree, of those with texture that both views hold.
     log10_odds : float
-        Against chance having produced them.
+        Against chance having produced them, less what the departure from the configured tilts
+        and rolls costs.
     uncertainty_px : float
         RMS standard deviation of the homography over the common ground, in picture j.
     drift : float
@@ -70,7 +71,7 @@ def uncertainty_px(aligned: Aligned, covariance: Float) -> float:
     return float(np.sqrt(max(variance.mean(), 0.0)))
 
 
-def weigh(aligned: Aligned, covariance: Float, expected: TwoView) -> Evidence:
+def weigh(aligned: Aligned, covariance: Float, expected: TwoView, prior: PairPrior) -> Evidence:
     """Collect the evidence for aligned patches.
 
     Parameters
@@ -81,20 +82,27 @@ def weigh(aligned: Aligned, covariance: Float, expected: TwoView) -> Evidence:
         Of its homography.
     expected : TwoView
         As configured.
+    prior : PairPrior
+        Error of the configuration.
 
     Returns
     -------
     evidence : Evidence
     """
+    geometry = aligned.fit.geometry
+    # a right plane is near the configured tilts, a wrong one anywhere: a few patches that would
+    # do for the one do not for the other
+    off = ((geometry.parameters - expected.parameters) * prior.weights)[4:]
+    unlikely = 0.5 * float(off @ off) / np.log(10.0)
     inliers = int(aligned.agrees.sum())
     tested = int((aligned.correlation > BLANK).sum())
     tail = float(binom.logsf(inliers - 1, tested, _CHANCE)) / np.log(10.0)
     return Evidence(
         inliers=inliers,
         tested=tested,
-        log10_odds=float(min(-tail - _LOG10_TESTS, _MOST_LOG10_ODDS)),
+        log10_odds=float(min(-tail - _LOG10_TESTS - unlikely, _MOST_LOG10_ODDS)),
         uncertainty_px=uncertainty_px(aligned, covariance),
-        drift=aligned.fit.geometry.drift(expected),
+        drift=geometry.drift(expected),
     )
 
 
