@@ -44,7 +44,7 @@ def distances(a: Float, b: Float) -> Float:
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def _windows(corners: Float, shape: tuple[int, ...], side: int) -> NDArray[np.int32]:
+def corner_windows(corners: Float, shape: tuple[int, ...], side: int) -> NDArray[np.int32]:
     """Raster of which corner's window covers each pixel, -1 where none does."""
     near = np.full(shape, -1, np.int32)
     u, v = np.rint(corners).astype(int).T
@@ -92,7 +92,7 @@ def find_isometry(
         (cv2.cvtColor(o, cv2.COLOR_RGB2GRAY).astype(np.uint8), g.overhead_from_ground)
         for o, g in overheads
     )
-    near_j = _windows(apply(raster_j, features_j.ground), grey_j.shape, options.window_px)
+    near_j = corner_windows(apply(raster_j, features_j.ground), grey_j.shape, options.window_px)
     chance = float((near_j >= 0).mean()) * float((distance < options.min_colour).mean())
     within = distances(*(np.asarray(vectors[0], dtype=np.float64),) * 2)
     fits: list[tuple[float, float, float, float]] = []

@@ -17,7 +17,9 @@ most seen over views that share no ground, mostly none."""
 
 _LOG10_TESTS = 2.0  # geometries whose patches are compared, and neighbouring patches that overlap
 _MOST_LOG10_ODDS = 300.0
-_WRONG_PX = 3.0  # a homography off by more than this over the common ground is called wrong
+WRONG_PX = 3.0
+"""A homography off by more than this over the common ground is called wrong."""
+
 _MODEL_PX = 0.05  # systematic error of patches that their covariance does not show
 
 
@@ -53,7 +55,7 @@ class Evidence:
         """
         by_chance = 10.0 ** -max(self.log10_odds, -_MOST_LOG10_ODDS)
         sigma = np.hypot(self.uncertainty_px, _MODEL_PX) / np.sqrt(2.0)
-        within = -np.expm1(-0.5 * (_WRONG_PX / sigma) ** 2)
+        within = -np.expm1(-0.5 * (WRONG_PX / sigma) ** 2)
         return float(within / (1.0 + by_chance))
 
 
