@@ -151,7 +151,8 @@ def common_ground(homography: Float, pose_i: Pose, camera_i: Camera, camera_j: C
     one = np.column_stack([p, np.ones(len(p))])
     ground = one @ np.linalg.inv(pixel_from_plane(camera_i, pose_i)).T
     height = mount_of(pose_i).height
-    q = one @ homography.T
+    # normalised, it has lost its sign: seen from above, what j sees keeps its orientation
+    q = one @ (np.sign(np.linalg.det(homography)) * homography).T
     j_sees = (
         (q[:, 0] >= 0)
         & (q[:, 0] <= (camera_j.width - 1) * q[:, 2])

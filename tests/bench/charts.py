@@ -21,7 +21,7 @@ class Curve:
     Attributes
     ----------
     name : str
-        For the legend; empty: not listed.
+        For the legend.
     x, y : (n,) float64
     colour : int
         Number of one of ``gvpipe.formats.plots.COLOURS``.
@@ -48,6 +48,8 @@ class Panel:
     curves : sequence of Curve
     log : bool
         Whether both axes are logarithmic.
+    low_legend : bool
+        Whether the names stand below, where curves that rise leave room.
     """
 
     title: str
@@ -56,6 +58,7 @@ class Panel:
     y_range: tuple[float, float]
     curves: Sequence[Curve]
     log: bool = False
+    low_legend: bool = False
 
 
 def ticks(low: float, high: float, log: bool) -> Float:
@@ -100,14 +103,16 @@ def _panel(drawing: Drawing, panel: Panel, left: float) -> None:
     drawing.text((left + LEFT, 18), panel.title, {"font-size": 12})
     label: Style = {"font-size": 11, "text-anchor": "middle"}
     drawing.text((left + LEFT + across / 2, HEIGHT - 8), panel.x_label, label)
-    row = TOP + 12
+    row = HEIGHT - BOTTOM - 13.0 * len(panel.curves) if panel.low_legend else TOP + 12.0
+    indent = 0.35 * across if panel.low_legend else 8.0
     for curve in panel.curves:
         colour = COLOURS[curve.colour % len(COLOURS)]
-        _curve(drawing, [at(x, y) for x, y in zip(curve.x, curve.y, strict=True)], curve, colour)
-        if curve.name:
-            style: Style = {"font-size": 10, "fill": colour}
-            drawing.text((left + LEFT + 8, row), curve.name, style)
-            row += 13
+        shown = (curve.x >= panel.x_range[0]) & (curve.x <= panel.x_range[1])
+        shown &= (curve.y >= panel.y_range[0]) & (curve.y <= panel.y_range[1])
+        points = [at(x, y) for x, y in zip(curve.x[shown], curve.y[shown], strict=True)]
+        _curve(drawing, points, curve, colour)
+        drawing.text((left + LEFT + indent, row), curve.name, {"font-size": 10, "fill": colour})
+        row += 13.0
 
 
 def _curve(drawing: Drawing, points: list[Point], curve: Curve, colour: str) -> None:

@@ -18,9 +18,11 @@ use_one_blas_thread()
 
 import numpy as np  # noqa: E402
 
+from gvpipe.core.geometry.ground import pixel_from_plane  # noqa: E402
 from gvpipe.core.geometry.homography import apply, transfer_errors  # noqa: E402
-from gvpipe.core.matching.features import MatchOptions  # noqa: E402
+from gvpipe.core.matching.features import Features, MatchOptions  # noqa: E402
 from gvpipe.core.matching.matchers import extract, match_views  # noqa: E402
+from gvpipe.core.matching.patches import MAX_RANGE  # noqa: E402
 from gvpipe.core.matching.verdict import WRONG_PX  # noqa: E402
 from gvpipe.core.types import Float, PairMatch, Pose, View  # noqa: E402
 from tests.bench.charts import Curve, Panel, draw  # noqa: E402
@@ -36,6 +38,8 @@ from tests.synthetic import (  # noqa: E402
 
 Truth = tuple[Float, Float]
 """Pixels of i that show common ground, (N, 2), and where they are in j."""
+
+Shot = tuple[View, Features]
 
 FEWEST_PIXELS = 6  # of every eighth: with less common ground there is no truth to speak of
 LENIENT = MatchOptions(min_log10_odds=-np.inf, max_uncertainty_px=np.inf)
@@ -77,32 +81,38 @@ def shoot(
     return view_at(scene, x, y, yaw, tilt, roll_deg=roll, hint_deg=tilt + off, **light)
 
 
-def hard_pairs(rng: np.random.Generator) -> Iterator[tuple[View, View, list[Truth]]]:
-    """Pairs of views around one floor, and what is true of them."""
+def hard_pairs(rng: np.random.Generator) -> Iterator[tuple[Shot, Shot, list[Truth]]]:
+    """Pairs of views around one floor with their features, and what is true of them."""
     scene = Scene(texture(rng, 1024), boxes=tuple(crates(rng)))
-    shots = [
-        shoot(scene, *rng.uniform(-1.3, 1.3, 2), rng.uniform(-180, 180), rng) for _ in range(9)
-    ]
+    shots = []
+    for _ in range(9):
+        view, pose = shoot(scene, *rng.uniform(-1.3, 1.3, 2), rng.uniform(-180, 180), rng)
+        shots.append(((view, extract(view, LENIENT)), pose))
     for (first, pose_i), (second, pose_j) in combinations(shots, 2):
         yield first, second, list(truths(pose_i, pose_j, scene.extent))
 
 
 def truths(pose_i: Pose, pose_j: Pose, extent: float) -> Iterator[Truth]:
     """Where pixels of i are in j: in more than one place if the floor repeats far away."""
+    ground_from_i = np.linalg.inv(pixel_from_plane(CAMERA, pose_i))
     for x, y in product((-extent, 0.0, extent), repeat=2):
-        moved = replace(pose_j, translation=pose_j.translation + (x, y, 0.0))
+        moved = replace(pose_j, translation=pose_j.translation + np.array([x, y, 0.0]))
         true = true_homography(pose_i, moved, CAMERA, CAMERA)
         points = common_ground(true, pose_i, CAMERA, CAMERA)
+        ground = apply(ground_from_i, points)
+        away = [
+            np.hypot(*(ground - p.translation[:2]).T) / p.translation[2] for p in (pose_i, moved)
+        ]
+        points = points[sum(away) < 2 * MAX_RANGE]
         if len(points) >= FEWEST_PIXELS:
             yield points, apply(true, points)
 
 
-def judge(first: View, second: View, known: list[Truth]) -> Outcome:
+def judge(first: Shot, second: Shot, known: list[Truth]) -> Outcome:
     """Match a pair and compare with the truth."""
-    features = extract(first, LENIENT), extract(second, LENIENT)
-    found, verdict = (
-        match_views(first, second, *features, options, np.random.default_rng(0))
-        for options in (LENIENT, MatchOptions())
+    verdict, found = (
+        match_views(first[0], second[0], first[1], second[1], options, np.random.default_rng(0))
+        for options in (MatchOptions(), LENIENT)
     )
     accepted = isinstance(verdict, PairMatch)
     if not isinstance(found, PairMatch):

@@ -217,7 +217,7 @@ def candidate_panels(found: dict[str, tuple[Float, Float]], thresholds: Float) -
         high = (0.0, float(thresholds[-1]))
         yield Panel(name, "threshold, grey levels", high, (0, 120), curves)
     curves = [Curve(name, *found[name], k) for k, name in enumerate(found)]
-    yield Panel("N_match over N_av", "candidates", (0, 120), (0, TESTED), curves)
+    yield Panel("N_match over N_av", "N_av", (0, 120), (0, TESTED), curves, low_legend=True)
 
 
 def segment_panel(rows: Float) -> Panel:
@@ -227,8 +227,8 @@ def segment_panel(rows: Float) -> Panel:
         Curve("these carpets", rows[share > 0, 0], share[share > 0], 0),
         Curve("thesis, Table 3.1", PUBLISHED[:, 0], published, 1, "dots"),
     ]
-    title = "Segments of the same length / (n_p n_q)"
-    return Panel(title, "|pq|, pixels", (10, 300), (0.001, 1), curves, log=True)
+    title = "Equal segments / (n_p n_q)"
+    return Panel(title, "|pq|, pixels", (10, 300), (0.001, 1), curves, log=True, low_legend=True)
 
 
 def trials_panel(rows: list[tuple[float, float, float]]) -> Panel:

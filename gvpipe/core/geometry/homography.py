@@ -1,9 +1,6 @@
-"""Plane homographies: application, linear fit, nonlinear refinement, covariance."""
-
-from dataclasses import dataclass
+"""Plane homographies: application, derivatives, errors and linear fit."""
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from gvpipe.core.types import Float
 
@@ -92,86 +89,3 @@ def fit_linear(points_i: Float, points_j: Float, weights: Float | None = None) -
     if not np.isfinite(eigenvalues).all() or eigenvalues[1] < 1e-12 * eigenvalues[-1]:
         return None
     return normalise(np.linalg.inv(tj) @ vectors[:, 0].reshape(3, 3) @ ti)
-
-
-@dataclass(frozen=True)
-class Refined:
-    """A homography at its least-squares optimum.
-
-    Attributes
-    ----------
-    homography : (3, 3) float64
-        j from i, normalised.
-    covariance : (9, 9) float64
-        Of the row-major entries, scaled by the residual variance (rank 8).
-    error_px : float
-        RMS transfer error in image j, pixels.
-    """
-
-    homography: Float
-    covariance: Float
-    error_px: float
-
-
-def refine(homography: Float, points_i: Float, points_j: Float, loss_px: float = 1.0) -> Refined:
-    """Minimise the robust transfer error in image j by Levenberg-Marquardt.
-
-    Parameters
-    ----------
-    homography : (3, 3) float64
-        Start, j from i.
-    points_i, points_j : (N, 2) float64
-        Matched pixels, N >= 4.
-    loss_px : float
-        Residuals well above this are weighted down (soft L1), pixels.
-
-    Returns
-    -------
-    refined : Refined
-    """
-    ti, tj = _conditioning(points_i), _conditioning(points_j)
-    p, scale = apply(ti, points_i), tj[0, 0]
-    q = apply(tj, points_j)
-    start = tj @ homography @ np.linalg.inv(ti)
-    start /= start[2, 2]
-
-    def residuals(h8: Float) -> Float:
-        h = np.append(h8, 1.0).reshape(3, 3)
-        return np.asarray((apply(h, p) - q).ravel() / scale)
-
-    def jacobian(h8: Float) -> Float:
-        h = np.append(h8, 1.0).reshape(3, 3)
-        m = p @ h[:, :2].T + h[:, 2]
-        y, w = m[:, :2] / m[:, 2:], m[:, 2:]
-        j = np.zeros((len(p), 2, 8))
-        j[:, 0, 0:2], j[:, 0, 2:3] = p / w, 1.0 / w
-        j[:, 1, 3:5], j[:, 1, 5:6] = p / w, 1.0 / w
-        j[:, 0, 6:8] = -y[:, :1] * p / w
-        j[:, 1, 6:8] = -y[:, 1:] * p / w
-        return np.asarray(j.reshape(-1, 8) / scale)
-
-    fit = least_squares(
-        residuals, start.ravel()[:8], jacobian, method="trf", loss="soft_l1", f_scale=loss_px
-    )
-    h = np.append(fit.x, 1.0).reshape(3, 3)
-    conditioned = np.linalg.inv(tj) @ h @ ti
-    errors = transfer_errors(conditioned, points_i, points_j)
-    degrees = max(2 * len(p) - 8, 1)
-    variance = float((errors**2).sum()) / degrees
-    j = jacobian(fit.x)
-    cov8 = np.linalg.pinv(j.T @ j) * variance
-    # d vec(normalised) / d h8, numerically exact enough for an 8-parameter chain rule
-    step = 1e-6
-    columns = []
-    base = normalise(conditioned).ravel()
-    for k in range(8):
-        moved = fit.x.copy()
-        moved[k] += step
-        m = np.linalg.inv(tj) @ np.append(moved, 1.0).reshape(3, 3) @ ti
-        columns.append((normalise(m).ravel() - base) / step)
-    chain = np.column_stack(columns)
-    return Refined(
-        homography=normalise(conditioned),
-        covariance=chain @ cov8 @ chain.T,
-        error_px=float(np.sqrt((errors**2).mean())),
-    )

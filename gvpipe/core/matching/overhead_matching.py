@@ -29,8 +29,24 @@ _UNKNOWN_SIGMA = np.radians(20.0)
 
 
 @dataclass(frozen=True)
-class _Pair:
-    """All that stays the same while geometries are compared."""
+class Pair:
+    """All that stays the same while geometries of two views are compared.
+
+    Attributes
+    ----------
+    expected : TwoView
+        As configured.
+    prior : PairPrior
+        Error of the configuration.
+    texture_i : (H, W) float32
+        From :func:`gvpipe.core.matching.patches.texture`.
+    pyramids : pair of tuple of (h, w) uint8
+        From :func:`gvpipe.core.matching.patches.grey_pyramid`.
+    matches : Matches
+        Putative ones.
+    options : MatchOptions
+        Thresholds.
+    """
 
     expected: TwoView
     prior: PairPrior
@@ -41,8 +57,22 @@ class _Pair:
 
 
 @dataclass(frozen=True)
-class _Candidate:
-    """A geometry with its evidence and what is to be said against it."""
+class Candidate:
+    """A geometry with its evidence and what is to be said against it.
+
+    Attributes
+    ----------
+    start : TwoView
+        Before refinement.
+    aligned : Aligned
+        Its patches.
+    covariance : (9, 9) float64
+        Of its homography.
+    evidence : Evidence
+        For it.
+    objection : str or None
+        Against it.
+    """
 
     start: TwoView
     aligned: Aligned
@@ -52,6 +82,7 @@ class _Candidate:
 
     @property
     def rank(self) -> tuple[bool, float]:
+        """The larger, the better."""
         return self.objection is None, self.evidence.log10_odds
 
 
@@ -66,14 +97,60 @@ def _matches(features_i: Features, features_j: Features, max_ratio: float) -> Ma
     )
 
 
+def prepare(view_i: View, view_j: View, matches: Matches, options: MatchOptions) -> Pair:
+    """Collect what is needed to compare geometries of two views.
+
+    Parameters
+    ----------
+    view_i, view_j : View
+        The views.
+    matches : Matches
+        Putative ones; they are asked whether anything lies below a found plane.
+    options : MatchOptions
+        Thresholds.
+
+    Returns
+    -------
+    pair : Pair
+    """
+    tilt_i, tilt_j = (
+        options.tilt_sigma if v.mount.tilt_known else _UNKNOWN_SIGMA for v in (view_i, view_j)
+    )
+    return Pair(
+        expected=two_views(view_i, view_j),
+        prior=PairPrior(
+            tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
+        ),
+        texture_i=texture(view_i.pixels),
+        pyramids=(grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)),
+        matches=matches,
+        options=options,
+    )
+
+
 def _tilt_errors(mount: Mount) -> tuple[float, ...]:
     return (0.0, *(float(t) for t in ((-_WIDER, _WIDER) if mount.tilt_known else _UNKNOWN)))
 
 
-def _examine(
-    pair: _Pair, start: TwoView, geometry: TwoView, coarseness: tuple[float, ...] = COARSENESS
-) -> _Candidate | None:
-    """Align the ground patches of a geometry and weigh what they say."""
+def examine(
+    pair: Pair, start: TwoView, geometry: TwoView, coarseness: tuple[float, ...] = COARSENESS
+) -> Candidate | None:
+    """Align the ground patches of a geometry and weigh what they say.
+
+    Parameters
+    ----------
+    pair : Pair
+        The views.
+    start, geometry : TwoView
+        Before refinement, and after it.
+    coarseness : tuple of float
+        As of :func:`gvpipe.core.matching.patches.align`.
+
+    Returns
+    -------
+    candidate : Candidate or None
+        None if hardly any patch could be aligned.
+    """
     aligned = align(
         geometry,
         pair.expected,
@@ -86,14 +163,14 @@ def _examine(
         return None
     covariance = aligned.fit.homography_covariance
     evidence = weigh(aligned, covariance, pair.expected, pair.prior)
-    return _Candidate(start, aligned, covariance, evidence, objection(evidence, pair.options))
+    return Candidate(start, aligned, covariance, evidence, objection(evidence, pair.options))
 
 
-def _search(pair: _Pair, rng: np.random.Generator) -> tuple[_Candidate | None, int, int]:
+def _search(pair: Pair, rng: np.random.Generator) -> tuple[Candidate | None, int, int]:
     """Best candidate, hypotheses drawn, most keypoint matches on a plane."""
     mount_i, mount_j = pair.expected.mount_i, pair.expected.mount_j
     grid = list(product(_tilt_errors(mount_i), _tilt_errors(mount_j)))
-    best: _Candidate | None = None
+    best: Candidate | None = None
     trials = most = 0
     for assumed in (grid[:1], grid[1:]):
         draws = pair.options.hypotheses
@@ -110,7 +187,7 @@ def _search(pair: _Pair, rng: np.random.Generator) -> tuple[_Candidate | None, i
         for hypothesis in found[:_TRIED]:
             well_known = hypothesis.inliers.sum() > _WELL_KNOWN
             rounds = COARSENESS[1:] if well_known else COARSENESS
-            candidate = _examine(pair, hypothesis.start, hypothesis.geometry, rounds)
+            candidate = examine(pair, hypothesis.start, hypothesis.geometry, rounds)
             if candidate and (best is None or candidate.rank > best.rank):
                 best = candidate
             if best and best.rank > (True, _CERTAIN):
@@ -118,10 +195,10 @@ def _search(pair: _Pair, rng: np.random.Generator) -> tuple[_Candidate | None, i
     return best, trials, most
 
 
-def _lowest(pair: _Pair, found: _Candidate) -> _Candidate:
+def _lowest(pair: Pair, found: Candidate) -> Candidate:
     """Return the plane below the found one, if the pictures show one."""
     below = lower_plane(found.aligned.fit.geometry, pair.matches, INLIER_PX)
-    lower = _examine(pair, found.start, below) if below is not None else None
+    lower = examine(pair, found.start, below) if below is not None else None
     if lower is None or lower.objection is not None:
         return found
     ground, top = lower.aligned.fit.geometry, found.aligned.fit.geometry
@@ -129,13 +206,13 @@ def _lowest(pair: _Pair, found: _Candidate) -> _Candidate:
     return lower if enough and np.hypot(ground.x, ground.y) < np.hypot(top.x, top.y) else found
 
 
-def _ambiguity(pair: _Pair, found: _Candidate, view_i: View) -> str | None:
+def _ambiguity(pair: Pair, found: Candidate, view_i: View) -> str | None:
     """Say which shift of a repetitive ground agrees as well, or None."""
     geometry = found.aligned.fit.geometry
     for shift in repetitions(view_i, geometry):
         for sign in (1.0, -1.0):
             other = shifted(geometry, sign * shift)
-            rival = _examine(pair, other, other, coarseness=(1.0,))
+            rival = examine(pair, other, other, coarseness=(1.0,))
             if rival is None:
                 continue
             moved = rival.aligned.fit.geometry
@@ -168,19 +245,7 @@ def match_sift(
             f"least {_MIN_MATCHES} are needed",
             candidates=candidates,
         )
-    tilt_i, tilt_j = (
-        options.tilt_sigma if v.mount.tilt_known else _UNKNOWN_SIGMA for v in (view_i, view_j)
-    )
-    pair = _Pair(
-        expected=two_views(view_i, view_j),
-        prior=PairPrior(
-            tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
-        ),
-        texture_i=texture(view_i.pixels),
-        pyramids=(grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)),
-        matches=matches,
-        options=options,
-    )
+    pair = prepare(view_i, view_j, matches, options)
     best, trials, most = _search(pair, rng)
     if best is None:
         return Rejected(
@@ -189,6 +254,29 @@ def match_sift(
             candidates=candidates,
             trials=trials,
         )
+    return conclude(pair, best, view_i, candidates, trials)
+
+
+def conclude(
+    pair: Pair, best: Candidate, view_i: View, candidates: int, trials: int
+) -> PairMatch | Rejected:
+    """Accept the best candidate, or say what is to be said against it.
+
+    Parameters
+    ----------
+    pair : Pair
+        The views.
+    best : Candidate
+        What was found.
+    view_i : View
+        The first view, whose ground may repeat.
+    candidates, trials : int
+        How it was found, for the record.
+
+    Returns
+    -------
+    match : PairMatch or Rejected
+    """
     reason, equals = best.objection, 1.0
     if reason is None:
         best = _lowest(pair, best)
@@ -200,7 +288,7 @@ def match_sift(
     return _accepted(best, candidates, trials)
 
 
-def _accepted(best: _Candidate, candidates: int, trials: int) -> PairMatch:
+def _accepted(best: Candidate, candidates: int, trials: int) -> PairMatch:
     geometry, agrees = best.aligned.fit.geometry, best.aligned.agrees
     points_i, points_j = best.aligned.points_i[agrees], best.aligned.points_j[agrees]
     errors = transfer_errors(geometry.homography, points_i, points_j)
