@@ -45,7 +45,7 @@ FEWEST_PIXELS = 6  # of every eighth: with less common ground there is no truth 
 LENIENT = MatchOptions(min_log10_odds=-np.inf, max_uncertainty_px=np.inf)
 """Accepts whatever is found, so that it can be compared with the truth."""
 
-BOUNDS = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 0.999, 1.0)
+BOUNDS = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
 
 
 @dataclass(frozen=True)
