@@ -24,6 +24,11 @@ NOISE2 = 9.0
 WORST = 2.0
 """Cost of a hypothesis that cannot be compared: that of perfect anticorrelation."""
 
+HOPE = 0.4
+"""Correlation by which views to come may exceed the best one so far."""
+
+ONE = np.uint64(1)
+
 FACING = 0.15
 """Least cosine between a plane's normal and the line of sight."""
 
@@ -59,66 +64,88 @@ def centred_patch(
 
 @kernel
 def _correlation(
-    picture: Single, size: NDArray[np.int64], m: Float, u: int, v: int,
+    picture: Single, size: NDArray[np.int64], infinite: Float, shift: Float,
+    plane: tuple[float, float, float], u: int, v: int,
     values: Single, weights: Single, variance: float,
 ) -> float:  # fmt: skip
-    """Weighted normalised correlation of a patch with its image under the homography m."""
-    total, total2, common = 0.0, 0.0, 0.0
-    for a in range(SIDE):
-        y = v + STRIDE * a - RADIUS
-        for b in range(SIDE):
-            x = u + STRIDE * b - RADIUS
-            depth = m[2, 0] * x + m[2, 1] * y + m[2, 2]
-            if depth <= 1e-6:
-                return -1.0
-            p = (m[0, 0] * x + m[0, 1] * y + m[0, 2]) / depth
-            q = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) / depth
-            if not (p >= 0.0 and q >= 0.0 and p < size[0] - 1 and q < size[1] - 1):
-                return -1.0
-            i, j = int(q), int(p)
-            fq, fp = np.float32(q - i), np.float32(p - j)
-            upper = picture[i, j] + fp * (picture[i, j + 1] - picture[i, j])
-            lower = picture[i + 1, j] + fp * (picture[i + 1, j + 1] - picture[i + 1, j])
+    """Weighted normalised correlation of a patch with its image under a plane's homography.
+
+    The homography, ``infinite + shift plane^T``, is taken as affine over the patch: exact to a
+    hundredth of a pixel there.
+    """
+    a, b, c = plane
+    m00, m01 = infinite[0, 0] + shift[0] * a, infinite[0, 1] + shift[0] * b
+    m10, m11 = infinite[1, 0] + shift[1] * a, infinite[1, 1] + shift[1] * b
+    m20, m21 = infinite[2, 0] + shift[2] * a, infinite[2, 1] + shift[2] * b
+    depth = m20 * u + m21 * v + infinite[2, 2] + shift[2] * c
+    if depth <= 1e-6:
+        return -1.0
+    inverse = 1.0 / depth
+    p = (m00 * u + m01 * v + infinite[0, 2] + shift[0] * c) * inverse
+    q = (m10 * u + m11 * v + infinite[1, 2] + shift[1] * c) * inverse
+    pu, pv = (m00 - p * m20) * inverse, (m01 - p * m21) * inverse
+    qu, qv = (m10 - q * m20) * inverse, (m11 - q * m21) * inverse
+    reach_p, reach_q = RADIUS * (abs(pu) + abs(pv)), RADIUS * (abs(qu) + abs(qv))
+    if not (
+        p >= reach_p and q >= reach_q and p + reach_p < size[0] - 1 and q + reach_q < size[1] - 1
+    ):
+        return -1.0
+    total, total2, common = np.float32(0), np.float32(0), np.float32(0)
+    u_p, v_p, u_q, v_q = np.float32(pu), np.float32(pv), np.float32(qu), np.float32(qv)
+    p0, q0 = np.float32(p), np.float32(q)
+    flat, width = picture.ravel(), picture.shape[1]
+    for k in range(SIDE):
+        y = np.float32(STRIDE * k - RADIUS)
+        for n in range(SIDE):
+            x = np.float32(STRIDE * n - RADIUS)
+            column, row = p0 + u_p * x + v_p * y, q0 + u_q * x + v_q * y
+            i, j = np.int32(row), np.int32(column)
+            fq, fp = row - np.float32(i), column - np.float32(j)
+            at = np.uint64(i * width + j)  # unsigned: indices that cannot count from the end
+            below = at + np.uint64(width)
+            upper = flat[at] + fp * (flat[at + ONE] - flat[at])
+            lower = flat[below] + fp * (flat[below + ONE] - flat[below])
             value = upper + fq * (lower - upper)
-            weight = weights[a * SIDE + b]
-            total += weight * value
-            total2 += weight * value * value
-            common += values[a * SIDE + b] * value
-    spread = max(total2 - total * total, 0.0)
-    return common / np.sqrt((spread + NOISE2) * (variance + NOISE2))
+            weighted = weights[k * SIDE + n] * value
+            total += weighted
+            total2 += weighted * value
+            common += values[k * SIDE + n] * value
+    spread = max(float(total2) - float(total) * float(total), 0.0)
+    return float(common) / np.sqrt((spread + NOISE2) * (variance + NOISE2))
 
 
 @kernel
 def slanted_cost(
     pictures: Single, sizes: NDArray[np.int64], sources: NDArray[np.int64],
-    rotations: Float, shifts: Float, ray: Float, inverse: Float,
+    infinite: Float, shifts: Float, ray: Float, inverse: Float,
     u: int, v: int, depth: float, normal: Float,
-    values: Single, weights: Single, variance: float,
+    values: Single, weights: Single, variance: float, limit: float,
 ) -> float:  # fmt: skip
-    """One minus the mean correlation with the two views that agree best."""
+    """One minus the mean correlation with the two views that agree best.
+
+    `infinite` (S, 3, 3) are the sources' pixels from the reference's for a plane at infinity.
+    Views are asked until it is plain that the cost will not be below `limit`.
+    """
     facing = ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2]
     length = np.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
     if facing > -FACING * length:
         return WORST
-    c = depth * facing
-    m, in_rays = np.empty((3, 3)), np.empty((3, 3))
+    c = 1.0 / (depth * facing)
+    plane = (
+        c * (normal[0] * inverse[0, 0] + normal[1] * inverse[1, 0] + normal[2] * inverse[2, 0]),
+        c * (normal[0] * inverse[0, 1] + normal[1] * inverse[1, 1] + normal[2] * inverse[2, 1]),
+        c * (normal[0] * inverse[0, 2] + normal[1] * inverse[1, 2] + normal[2] * inverse[2, 2]),
+    )
     first, second = -1.0, -1.0
     for s in range(len(sources)):
-        for a in range(3):
-            for b in range(3):
-                in_rays[a, b] = rotations[s, a, b] + shifts[s, a] * normal[b] / c
-        for a in range(3):
-            for b in range(3):
-                m[a, b] = (
-                    in_rays[a, 0] * inverse[0, b]
-                    + in_rays[a, 1] * inverse[1, b]
-                    + in_rays[a, 2] * inverse[2, b]
-                )
         found = _correlation(
-            pictures[sources[s]], sizes[sources[s]], m, u, v, values, weights, variance
-        )
+            pictures[sources[s]], sizes[sources[s]], infinite[s], shifts[s], plane, u, v,
+            values, weights, variance,
+        )  # fmt: skip
         if found > first:
             first, second = found, first
         elif found > second:
             second = found
+        if s > 0 and 0.5 * (first + min(first + HOPE, 1.0)) < 1.0 - limit:
+            return WORST
     return 1.0 - 0.5 * (first + second)

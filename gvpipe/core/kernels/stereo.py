@@ -71,7 +71,7 @@ def match_depths(
     sources: NDArray[np.int64],
     pictures: Single,
     sizes: NDArray[np.int64],
-    rotations: Float,
+    infinite: Float,
     shifts: Float,
     inverse: Float,
     up: Float,
@@ -94,8 +94,9 @@ def match_depths(
         Grey pictures padded to one size.
     sizes : (N, 2) int64
         True width and height of each.
-    rotations, shifts : (S, 3, 3), (S, 3) float64
-        K R and K t that take reference camera coordinates to homogeneous pixels of a source.
+    infinite, shifts : (S, 3, 3), (S, 3) float64
+        K R K^-1 and K t that take reference pixels at infinity, and the rest of the way, to
+        homogeneous pixels of a source.
     inverse : (3, 3) float64
         Reference rays from pixels, K^-1.
     up : (3,) float64
@@ -157,8 +158,8 @@ def match_depths(
                     if not low <= d <= high:
                         continue
                     c = slanted_cost(
-                        pictures, sizes, sources, rotations, shifts, ray, inverse,
-                        u, v, d, n, values, weights, variance,
+                        pictures, sizes, sources, infinite, shifts, ray, inverse,
+                        u, v, d, n, values, weights, variance, best,
                     )  # fmt: skip
                     if c < best:
                         best, best_depth = c, d
@@ -168,7 +169,7 @@ def match_depths(
                     depth[v, u], cost[v, u] = best_depth, WORST
                     normal[v, u] = up.astype(np.float32)
     _doubt(
-        pictures, sizes, sources, rotations, shifts, inverse, near, far, view,
+        pictures, sizes, sources, infinite, shifts, inverse, near, far, view,
         depth, normal, cost,
     )  # fmt: skip
 
@@ -176,7 +177,7 @@ def match_depths(
 @kernel
 def _doubt(
     pictures: Single, sizes: NDArray[np.int64], sources: NDArray[np.int64],
-    rotations: Float, shifts: Float, inverse: Float, near: Single, far: Single, view: int,
+    infinite: Float, shifts: Float, inverse: Float, near: Single, far: Single, view: int,
     depth: Single, normal: Single, cost: Single,
 ) -> None:  # fmt: skip
     """Give up pixels that match nearly as well at other depths: smooth shading matches anywhere."""
@@ -194,8 +195,8 @@ def _doubt(
             for k in range(RIVALS):
                 d = depth[v, u] * (1.0 + RIVAL_STEP * (k - RIVALS // 2 + (k >= RIVALS // 2)))
                 c = slanted_cost(
-                    pictures, sizes, sources, rotations, shifts, ray, inverse,
-                    u, v, d, n, values, weights, variance,
+                    pictures, sizes, sources, infinite, shifts, ray, inverse,
+                    u, v, d, n, values, weights, variance, cost[v, u] + DISTINCT,
                 )  # fmt: skip
                 if c < cost[v, u] + DISTINCT:
                     cost[v, u] = WORST

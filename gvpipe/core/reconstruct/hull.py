@@ -25,6 +25,9 @@ COARSE_PER_HEIGHT = 50
 RANGE_PER_HEIGHT = 2.5
 """Ground farther than this many camera heights from all cameras is not searched."""
 
+LATTICE = 64
+"""Steps along each side of the ground in the search for what enough views see."""
+
 SPECK = 27
 """Voxels below which a part is noise: 3 across, on average."""
 
@@ -139,15 +142,39 @@ def entry_depth(inside: Bool, grid: VoxelGrid, view: PosedView) -> Volume:
 
 
 def search_grid(views: Sequence[PosedView]) -> VoxelGrid:
-    """Coarse voxels over the ground within reach of the cameras, up to their median height."""
+    """Coarse voxels over the ground that enough views see near the cameras.
+
+    They reach up to the cameras' median height.
+    """
     centres = np.array([v.map_from_camera.translation for v in views])
     height = float(np.median(centres[:, 2]))
     lower = centres.min(axis=0) - RANGE_PER_HEIGHT * height
     upper = centres.max(axis=0) + RANGE_PER_HEIGHT * height
+    lower[:2], upper[:2] = _common_ground(views, lower[:2], upper[:2])
     lower[2], upper[2] = 0.0, height
     spacing = height / COARSE_PER_HEIGHT
     spacing = max(spacing, float(np.cbrt(np.prod(upper - lower) / COARSE_VOXELS)))
     return _cover(lower, upper, spacing)
+
+
+def _common_ground(views: Sequence[PosedView], lower: Float, upper: Float) -> tuple[Float, Float]:
+    """Corners (2,) of the part of a box whose ground enough views show."""
+    step = (upper - lower) / LATTICE
+    x, y = np.meshgrid(*(lower[:, None] + step[:, None] * np.arange(LATTICE + 1)))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size), np.ones(x.size)])
+    count = np.zeros(x.size, int)
+    for view in views:
+        u, v, depth = pixel_from_map(view) @ points
+        size = view.camera.width - 1, view.camera.height - 1
+        inside = (depth > 0) & (u >= 0) & (v >= 0)
+        count += inside & (u <= size[0] * depth) & (v <= size[1] * depth)
+    common = points[:2, count >= max(VIEW_SHARE * count.max(), 1)]
+    if not common.size:
+        return lower, upper
+    return (
+        np.maximum(common.min(axis=1) - step, lower),
+        np.minimum(common.max(axis=1) + step, upper),
+    )
 
 
 def regions_of(inside: Bool, grid: VoxelGrid, margin: int) -> list[Region]:

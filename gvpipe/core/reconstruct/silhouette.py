@@ -71,6 +71,9 @@ LEAST_OPEN = 0.5
 LEAST_GAIN = 0.5
 """Mean measured log odds, over a silhouette's pixels with ground seen behind, of an obstacle."""
 
+FIRST_SHARE = 0.2
+"""Share of a first silhouette, where ground is seen behind, that must differ that much."""
+
 SPECK_SHARE = 0.02
 """Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
 
@@ -221,12 +224,18 @@ def _silhouette(
         region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
     region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
     unknown = ~below_horizon(view) & (region <= 0.5)
-    unknown |= _guessed(region, measured, seen)
+    if first:  # an obstacle's foot, which all views see in its place, does not differ yet
+        unknown |= _guessed(region, (measured > LEAST_GAIN).astype(np.float32), seen, FIRST_SHARE)
+    else:
+        unknown |= _guessed(region, measured, seen, LEAST_GAIN)
     return np.where(unknown, np.nan, region).astype(np.float32)
 
 
 def _guessed(
-    region: Silhouette, measured: NDArray[np.float32], seen: SeenGround
+    region: Silhouette,
+    measured: NDArray[np.float32],
+    seen: SeenGround,
+    least: float,
 ) -> NDArray[np.bool_]:
     """Parts of a region that hardly differ from ground that other views do see there.
 
@@ -237,7 +246,7 @@ def _guessed(
     count, labels = cv2.connectedComponents((region > 0.5).astype(np.uint8), connectivity=4)
     pixels = np.bincount(labels[bare], minlength=count)
     total = np.bincount(labels[bare], weights=measured[bare], minlength=count)
-    guessed = total <= LEAST_GAIN * pixels
+    guessed = total <= least * pixels
     guessed[0] = False
     found: NDArray[np.bool_] = guessed[labels]
     return found

@@ -87,14 +87,15 @@ def depth_maps(
         if len(sources) < 2 or not np.isfinite(near[index]).any():
             return depth, cost
         to_source = [_from_reference(view, views[s]) for s in sources]
+        inverse = np.ascontiguousarray(np.linalg.inv(view.camera.matrix))
         match_depths(
             index,
             sources,
             pictures,
             sizes,
-            np.stack([a for a, _ in to_source]),
+            np.stack([a @ inverse for a, _ in to_source]),
             np.stack([b for _, b in to_source]),
-            np.ascontiguousarray(np.linalg.inv(view.camera.matrix)),
+            inverse,
             np.ascontiguousarray(view.map_from_camera.rotation[2]),
             near[index],
             ground_depth(view),
