@@ -137,7 +137,7 @@ def fixed_by(adjusted: Adjusted, problem: Problem, control: Control) -> tuple[Ad
     -------
     adjusted, problem : Adjusted, Problem
     """
-    problem = Problem(problem.rig, problem.tracks, 0, control)
+    problem = Problem(problem.rig, problem.tracks, 0, control, problem.where)
     mean = adjusted.spread.mean.copy()
     mean[:, 2] = UNKNOWN_SCALE
     spread = replace(adjusted.spread, mean=mean)
@@ -172,7 +172,7 @@ def _variances(
 ) -> Float:
     """Variances (N, 3) of leans and logarithmic heights given the data and the present priors."""
     normal = problem.normal(state, spread, loss_px, noise_px)
-    own, _ = marginal_covariances(normal, len(state.cameras), np.empty(0, dtype=np.int64))
+    own, _ = marginal_covariances(normal, np.empty(0, dtype=np.int64))
     return np.asarray(np.einsum("nii->ni", own)[:, 3:])
 
 
@@ -228,7 +228,7 @@ def pose_covariances(
     normal = problem.normal(adjusted.state, adjusted.spread, adjusted.loss_px, noise_px)
     count = len(cameras)
     lean = (6 * reference + np.array([3, 4])).astype(np.int64)
-    own, cross = marginal_covariances(normal, count, lean)
+    own, cross = marginal_covariances(normal, lean)
     jacobian = pose_jacobians(rig, cameras)
     if problem.control:
         return np.asarray(jacobian @ own @ jacobian.transpose(0, 2, 1))

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
 
 from gvpipe.core.slam.rig import Rig, State, centres, orientation
 from gvpipe.core.slam.tracks import Index
@@ -53,16 +52,14 @@ class Control:
         error = self.errors_px(rig, cameras)
         return float((error**2).sum()) / SIGMA_PX**2 if np.isfinite(error).all() else np.inf
 
-    def normal(self, rig: Rig, cameras: Float, size: int) -> tuple[csc_matrix, Float]:
-        """Return the normal matrix (size, size) and the gradient (size,) of half the cost."""
+    def normal(self, rig: Rig, cameras: Float) -> tuple[Float, Float]:
+        """Return blocks (N, 6, 6) of the normal matrix and gradient (N, 6) of half the cost."""
         seen, jacobian = self._project(rig, cameras)
         jacobian, error = jacobian / SIGMA_PX, (seen - self.pixel) / SIGMA_PX
-        columns = 6 * self.camera[:, None] + np.arange(6)
-        blocks = np.einsum("cki,ckj->cij", jacobian, jacobian)
-        gradient = np.zeros(size)
-        np.add.at(gradient, columns, np.einsum("cki,ck->ci", jacobian, error))
-        row, column = np.repeat(columns, 6, axis=1).ravel(), np.tile(columns, 6).ravel()
-        return csc_matrix(coo_matrix((blocks.ravel(), (row, column)), (size, size))), gradient
+        blocks, gradient = np.zeros((len(cameras), 6, 6)), np.zeros((len(cameras), 6))
+        np.add.at(blocks, self.camera, np.einsum("cki,ckj->cij", jacobian, jacobian))
+        np.add.at(gradient, self.camera, np.einsum("cki,ck->ci", jacobian, error))
+        return blocks, gradient
 
     def _project(self, rig: Rig, cameras: Float) -> tuple[Float, Float]:
         """Pixels (C, 2) of the known points and their derivatives (C, 2, 6)."""

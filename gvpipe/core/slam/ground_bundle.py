@@ -1,10 +1,12 @@
 """Adjustment of cameras over a plane: poses and ground points that explain the matches best."""
 
+from dataclasses import replace
+
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
 
 from gvpipe.core.kernels import bundle as kernels
 from gvpipe.core.slam.control import Control
+from gvpipe.core.slam.fronts import Blocks, Dissection
 from gvpipe.core.slam.normal import Normal
 from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, prior_cost, prior_normal
 from gvpipe.core.slam.tracks import Index, Tracks
@@ -22,15 +24,21 @@ class Problem:
     """One connected set of cameras with their tracks.
 
     Position and heading of the `reference` camera are held, or nothing is where known ground
-    points fix the map instead.
+    points fix the map instead. Rough positions `where` of the cameras (N, 2) only save time.
     """
 
     def __init__(
-        self, rig: Rig, tracks: Tracks, reference: int, control: Control | None = None
+        self,
+        rig: Rig,
+        tracks: Tracks,
+        reference: int,
+        control: Control | None = None,
+        where: Float | None = None,
     ) -> None:
         self.rig = rig
         self.tracks = tracks
         self.control = control
+        self.where = np.zeros((len(rig.height), 2)) if where is None else where
         self.groups = int(rig.group.max()) + 1
         n = len(rig.height)
         lengths = np.diff(tracks.start)
@@ -38,9 +46,13 @@ class Problem:
         keys = tracks.camera[first] * n + tracks.camera[second]
         block_keys, block = np.unique(keys, return_inverse=True)
         self._pair_block = block.ravel().astype(np.int64)
-        self._row, self._column = block_keys // n, block_keys % n
-        held = 6 * reference + np.arange(3 if control is None else 0)
-        self.free = np.setdiff1d(np.arange(6 * n + 3 * self.groups), held).astype(np.int64)
+        row, column = block_keys // n, block_keys % n
+        self._own = row == column
+        self._seen = row[self._own]
+        self._plan = Dissection(
+            row[~self._own], column[~self._own], self.where, size=6, border=3 * self.groups
+        )
+        self.held = 6 * reference + np.arange(3 if control is None else 0)
 
     def initial_points(self, cameras: Float) -> Float:
         """Mean of where the observations of each track meet the ground, (T, 2) metres."""
@@ -93,7 +105,7 @@ class Problem:
             gained = 0.0
             while damping < MAX_DAMPING:
                 try:
-                    step = normal.factor(damping).solve(-gradient)
+                    step = normal.step(gradient, damping)
                 except np.linalg.LinAlgError:
                     damping *= 10.0
                     continue
@@ -126,7 +138,7 @@ class Problem:
     ) -> tuple[Normal, Float, tuple[Float, Float, Float]]:
         n, m, t = len(state.cameras), len(self.tracks.camera), len(state.points)
         rotation, turned = orientation(self.rig, state.cameras)
-        blocks, gradient = np.zeros((len(self._row), 6, 6)), np.zeros((n, 6))
+        blocks, gradient = np.zeros((len(self._own), 6, 6)), np.zeros((n, 6))
         coupling, inverse = np.empty((m, 6, 2)), np.empty((t, 2, 2))
         point_gradient = np.empty((t, 2))
         kernels.linearise(
@@ -145,30 +157,18 @@ class Problem:
             inverse,
             point_gradient,
         )
-        prior_matrix, prior_gradient = prior_normal(self.rig, state, spread)
-        total = np.concatenate([gradient.ravel() / noise_px**2, np.zeros(3 * self.groups)])
-        matrix = self._assemble(blocks / noise_px**2) + prior_matrix
+        blocks, gradient = blocks / noise_px**2, gradient / noise_px**2
+        matrix, total = prior_normal(self.rig, state, spread)
+        matrix.diagonal[self._seen] += blocks[self._own]
         if self.control:
-            known, pull = self.control.normal(self.rig, state.cameras, len(total))
-            matrix, total = matrix + known, total + pull
+            known, pull = self.control.normal(self.rig, state.cameras)
+            matrix.diagonal[:] += known
+            gradient += pull
+        total[: 6 * n] += gradient.ravel()
         return (
-            Normal(csc_matrix(matrix), self.free),
-            total + prior_gradient,
+            Normal(self._plan, replace(matrix, between=blocks[~self._own]), self.held),
+            total,
             (coupling, inverse, point_gradient),
-        )
-
-    def _assemble(self, blocks: Float) -> csc_matrix:
-        """Lay the upper blocks and their transposes out as one sparse matrix."""
-        n, size = len(self.rig.height), 6 * len(self.rig.height) + 3 * self.groups
-        upper = self._row != self._column
-        row = np.concatenate([self._row, self._column[upper], np.arange(n)])
-        column = np.concatenate([self._column, self._row[upper], np.arange(n)])
-        value = np.concatenate([blocks, blocks[upper].transpose(0, 2, 1), np.zeros((n, 6, 6))])
-        six = np.arange(6)
-        rows = np.broadcast_to(row[:, None, None] * 6 + six[None, :, None], value.shape)
-        columns = np.broadcast_to(column[:, None, None] * 6 + six[None, None, :], value.shape)
-        return csc_matrix(
-            coo_matrix((value.ravel(), (rows.ravel(), columns.ravel())), (size, size))
         )
 
 

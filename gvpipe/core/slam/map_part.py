@@ -136,7 +136,7 @@ def adjust_part(
     if not links:
         none = np.zeros((len(members), 6, 6))
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
-    problem = Problem(rig, tracks, 0)
+    problem = Problem(rig, tracks, 0, where=start[:, :2])
     adjusted = adjust(
         problem,
         start,

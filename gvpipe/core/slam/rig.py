@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
 from scipy.spatial.transform import Rotation
 
+from gvpipe.core.slam.fronts import Blocks
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Float
 
@@ -181,27 +181,30 @@ def prior_cost(rig: Rig, state: State, spread: Spread) -> float:
     )
 
 
-def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[csc_matrix, Float]:
-    """Return normal matrix and gradient (of half the cost) of the priors."""
+def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[Blocks, Float]:
+    """Return normal matrix and gradient (of half the cost) of the priors.
+
+    The means of the robots are the border; no cameras share a block.
+    """
     n, groups = len(state.cameras), len(state.means)
-    size = 6 * n + 3 * groups
     weight = 1.0 / spread.within[rig.group] ** 2
     pull = weight * deviations(rig, state)
-    three = np.arange(3)
-    own = (6 * np.arange(n)[:, None] + 3 + three).ravel()
-    mean = (6 * n + 3 * rig.group[:, None] + three).ravel()
     mean_weight = 1.0 / spread.mean**2
     anchored = spread.anchor >= 0
     mean_weight[anchored, 2] = 0.0
-    anchor = 6 * spread.anchor[anchored] + 5
-    anchor_weight = 1.0 / spread.mean[anchored, 2] ** 2
-    w, last = weight.ravel(), np.arange(6 * n, size)
-    rows = np.concatenate([own, mean, own, mean, last, anchor])
-    columns = np.concatenate([own, mean, mean, own, last, anchor])
-    values = np.concatenate([w, w, -w, -w, mean_weight.ravel(), anchor_weight])
-    gradient = np.zeros(size)
-    gradient[own] = pull.ravel()
-    np.add.at(gradient, mean, -pull.ravel())
-    gradient[last] += (mean_weight * state.means).ravel()
-    gradient[anchor] += anchor_weight * state.cameras[spread.anchor[anchored], 5]
-    return csc_matrix(coo_matrix((values, (rows, columns)), (size, size))), gradient
+    anchor, anchor_weight = spread.anchor[anchored], 1.0 / spread.mean[anchored, 2] ** 2
+    diagonal, border = np.zeros((n, 6, 6)), np.zeros((n, 6, 3 * groups))
+    of_group = np.zeros((groups, 3))
+    np.add.at(of_group, rig.group, weight)
+    lean = np.zeros((groups, 3))
+    np.add.at(lean, rig.group, pull)
+    gradient = np.zeros((n, 6))
+    gradient[:, 3:] = pull
+    gradient[anchor, 5] += anchor_weight * state.cameras[anchor, 5]
+    for k in range(3):
+        diagonal[:, 3 + k, 3 + k] = weight[:, k]
+        border[np.arange(n), 3 + k, 3 * rig.group + k] = -weight[:, k]
+    np.add.at(diagonal, (anchor, 5, 5), anchor_weight)
+    corner = np.diag((of_group + mean_weight).ravel())
+    total = np.concatenate([gradient.ravel(), (mean_weight * state.means - lean).ravel()])
+    return Blocks(diagonal, np.empty((0, 6, 6)), border, corner), total
