@@ -82,10 +82,11 @@ def make_scene(
             poses[image] = planar_pose(x, y, yaw, held)
             seen[image] = _observe(ground, poses[image], held.height, noise_px, rng)
     order = list(poses)
+    place = {image: k for k, image in enumerate(order)}
     links = []
     for a, i in enumerate(order):
         for j in order[a + 1 :]:
-            kind = link_kind(order, i, j)
+            kind = link_kind(place, i, j)
             gap = abs(order.index(j) - a)
             if kind == "odometry" and gap > max_gap:
                 continue

@@ -149,10 +149,10 @@ def test_the_result_does_not_depend_on_the_run(patrol: Scene) -> None:
 
 
 def test_kinds_of_links() -> None:
-    order = [f"A/{k}.jpg" for k in range(9)] + ["B/0.jpg"]
-    assert link_kind(order, "A/0.jpg", "A/1.jpg") == "odometry"
-    assert link_kind(order, "A/8.jpg", "A/0.jpg") == "loop"
-    assert link_kind(order, "A/0.jpg", "B/0.jpg") == "overlap"
+    place = {image: k for k, image in enumerate([f"A/{k}.jpg" for k in range(9)] + ["B/0.jpg"])}
+    assert link_kind(place, "A/0.jpg", "A/1.jpg") == "odometry"
+    assert link_kind(place, "A/8.jpg", "A/0.jpg") == "loop"
+    assert link_kind(place, "A/0.jpg", "B/0.jpg") == "overlap"
 
 
 def test_loops_are_proposed_where_footprints_overlap(patrol: Scene) -> None:

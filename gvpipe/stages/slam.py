@@ -152,7 +152,7 @@ def _proposed(
 
 def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
     """Match proposed pairs and yield the links found."""
-    order = [entry.image_id for entry in context.dataset.entries]
+    place = _places(context)
     steps = len({image for pair in pairs for image in pair}) + len(pairs)
     with context.progress("loops", steps) as ticker:
         verdicts = match_pairs(
@@ -166,19 +166,24 @@ def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
         )
         for pair, verdict in zip(pairs, verdicts, strict=True):
             if isinstance(verdict, PairMatch):
-                kind = link_kind(order, *pair)
+                kind = link_kind(place, *pair)
                 yield Link(*pair, kind, verdict.homography, verdict.points_i, verdict.points_j)
+
+
+def _places(context: Context) -> dict[str, int]:
+    """Number the images, robot by robot."""
+    return {entry.image_id: k for k, entry in enumerate(context.dataset.entries)}
 
 
 def _matched(context: Context) -> Iterator[Link]:
     """Turn matched pairs into links."""
     match = context.artefact(MatchBody)
     points = match.arrays("match.npz")
-    order = [entry.image_id for entry in context.dataset.entries]
+    place = _places(context)
     for k, row in enumerate(match.body.pairs):
         if row.H is not None:
             pair = row.image_i, row.image_j
-            kind = link_kind(order, *pair)
+            kind = link_kind(place, *pair)
             yield Link(*pair, kind, row.H, points[f"{k}/points_i"], points[f"{k}/points_j"])
 
 

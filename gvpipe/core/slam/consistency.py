@@ -1,12 +1,11 @@
 """Which links agree with each other: rough placement by vote, then by least squares."""
 
-import heapq
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
-from scipy.sparse.linalg import splu
 
+from gvpipe.core.kernels.links import grow_map
+from gvpipe.core.slam.fronts import Blocks, Dissection, Factor
 from gvpipe.core.slam.placements import Index, Mask, Placements, disagreements, turned, wrapped
 from gvpipe.core.types import Float
 
@@ -116,99 +115,60 @@ def grow(links: Placements, count: int) -> tuple[Float, Index]:
     component : (N,) int64
         Connected part of each image.
     """
-    at: list[list[int]] = [[] for _ in range(count)]
-    for k, (i, j) in enumerate(zip(links.i.tolist(), links.j.tolist(), strict=True)):
-        at[i].append(k)
-        at[j].append(k)
-    planar, component = np.zeros((count, 3)), np.full(count, -1, dtype=np.int64)
-    wanted: list[list[tuple[int, Float]]] = [[] for _ in range(count)]
-    part = 0
-    for root in range(count):
-        if component[root] >= 0:
-            continue
-        queue: list[tuple[float, int, int]] = [(0.0, root, 0)]
-        best = {root: planar[root]}
-        while queue:
-            _, image, votes = heapq.heappop(queue)
-            if component[image] >= 0 or votes != len(wanted[image]):
-                continue
-            planar[image], component[image] = best[image], part
-            for k in at[image]:
-                other = int(links.i[k] + links.j[k]) - image
-                if component[other] >= 0:
-                    continue
-                one = np.array([k])
-                pose = _carried(links, one, np.array([image]), planar[image][None])[0]
-                wanted[other].append((k, pose))
-                trust, best[other] = _vote(links, planar, other, wanted[other])
-                heapq.heappush(queue, (-trust, other, len(wanted[other])))
-        part += 1
-    return planar, component
-
-
-def _vote(
-    links: Placements, planar: Float, image: int, wanted: list[tuple[int, Float]]
-) -> tuple[float, Float]:
-    """Pose that the most trusted of an image's links agree on, and that trust."""
-    k = np.array([link for link, _ in wanted])
-    poses = np.array([pose for _, pose in wanted])
-    others = links.i[k] + links.j[k] - image
-    best_trust, best = -1.0, poses[0]
-    for pose in poses:
-        here = np.broadcast_to(pose, poses.shape)
-        apart = _between(links, k, here, planar[others], np.full(len(k), image))
-        agrees = (apart**2).sum(axis=1) <= (WIDE * CUT * links.tolerance[k]) ** 2
-        trust = float(links.trust[k[agrees]].sum())
-        if trust > best_trust:
-            best_trust, best = trust, pose
-    return best_trust, best
+    ends = np.concatenate([links.i, links.j])
+    order = np.argsort(np.concatenate([2 * np.arange(len(links.i)), 1 + 2 * np.arange(len(links.i))]))
+    order = order[np.argsort(ends[order], kind="stable")]
+    planar, component = grow_map(
+        links.i,
+        links.j,
+        np.ascontiguousarray(links.centre_i),
+        np.ascontiguousarray(links.centre_j),
+        np.ascontiguousarray(links.turn),
+        np.ascontiguousarray(links.radius),
+        WIDE * CUT * links.tolerance,
+        links.trust,
+        np.searchsorted(ends[order], np.arange(count + 1)),
+        order % len(links.i) if len(order) else order,
+    )
+    return np.asarray(planar), np.asarray(component)
 
 
 def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: int) -> Float:
     """Weighted Gauss-Newton on the placements; `held` images stay."""
-    n, e = len(planar), len(links.i)
-    free = np.nonzero(~np.repeat(held, 3))[0]
-    if not len(free):
-        return planar
-    row = 3 * np.arange(e)
-    root = np.sqrt(weight)[:, None]
+    low, high = np.minimum(links.i, links.j), np.maximum(links.i, links.j)
+    pairs, pair = np.unique(low * len(planar) + high, return_inverse=True)
+    plan = Dissection(pairs // len(planar), pairs % len(planar), planar[:, :2], size=3)
     for _ in range(steps):
-        residual = disagreements(links, planar) * root
-        lever_i = turned(planar[links.i, 2] + np.pi / 2, links.centre_i)
-        lever_j = turned(planar[links.j, 2] + np.pi / 2, links.centre_j)
-        one = np.ones(e)
-        entries = [
-            (row, 3 * links.i, one),
-            (row + 1, 3 * links.i + 1, one),
-            (row, 3 * links.i + 2, lever_i[:, 0]),
-            (row + 1, 3 * links.i + 2, lever_i[:, 1]),
-            (row + 2, 3 * links.i + 2, links.radius),
-            (row, 3 * links.j, -one),
-            (row + 1, 3 * links.j + 1, -one),
-            (row, 3 * links.j + 2, -lever_j[:, 0]),
-            (row + 1, 3 * links.j + 2, -lever_j[:, 1]),
-            (row + 2, 3 * links.j + 2, -links.radius),
-        ]
-        jacobian = csc_matrix(
-            coo_matrix(
-                (
-                    np.concatenate([v * root[:, 0] for _, _, v in entries]),
-                    (
-                        np.concatenate([r for r, _, _ in entries]),
-                        np.concatenate([c for _, c, _ in entries]),
-                    ),
-                ),
-                (3 * e, 3 * n),
-            )
-        )[:, free]
-        normal = (jacobian.T @ jacobian).tocsc()
-        normal.setdiag(normal.diagonal() * (1.0 + 1e-9) + 1e-9)
-        step = np.zeros(3 * n)
-        step[free] = splu(normal, permc_spec="MMD_AT_PLUS_A").solve(-jacobian.T @ residual.ravel())
-        planar = planar + step.reshape(n, 3)
-        if np.abs(step).max() < SETTLED_M:
+        residual = disagreements(links, planar)
+        at_i = _change(links.radius, planar[links.i, 2], links.centre_i)
+        at_j = -_change(links.radius, planar[links.j, 2], links.centre_j)
+        diagonal, right = np.zeros((len(planar), 3, 3)), np.zeros((len(planar), 3))
+        for end, change in ((links.i, at_i), (links.j, at_j)):
+            heavy = weight[:, None, None] * change
+            np.add.at(diagonal, end, heavy.transpose(0, 2, 1) @ change)
+            np.add.at(right, end, -np.einsum("eki,ek->ei", heavy, residual))
+        mixed = weight[:, None, None] * at_i.transpose(0, 2, 1) @ at_j
+        between = np.zeros((len(pairs), 3, 3))
+        forward = (links.i < links.j)[:, None, None]
+        np.add.at(between, pair, np.where(forward, mixed, mixed.transpose(0, 2, 1)))
+        # the frame is free: whatever holds the first image of a part at its place moves nothing
+        diagonal[held] += np.eye(3) * (1.0 + diagonal.max(initial=0.0))
+        diagonal += np.eye(3) * (1e-9 + 1e-9 * diagonal)
+        blocks = Blocks(diagonal, between, np.empty((len(planar), 3, 0)), np.empty((0, 0)))
+        step = Factor(plan, blocks).solve(right.ravel()).reshape(-1, 3)
+        planar = planar + step
+        if np.abs(step).max(initial=0.0) < SETTLED_M:
             break
     return planar
+
+
+def _change(radius: Float, heading: Float, centre: Float) -> Float:
+    """Derivatives (E, 3, 3) of :func:`disagreements` by the pose of image i."""
+    out = np.zeros((len(radius), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = 1.0
+    out[:, :2, 2] = turned(heading + np.pi / 2, centre)
+    out[:, 2, 2] = radius
+    return out
 
 
 def agree(links: Placements, count: int) -> tuple[Float, Mask]:

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, diags_array
 from scipy.sparse.linalg import splu
 
-from gvpipe.core.geometry.homography import transfer_errors
-from gvpipe.core.geometry.twoview import PairPrior, TwoView, fit_two_views
-from gvpipe.core.slam.links import Link
-from gvpipe.core.slam.placement import place
+from gvpipe.core.geometry.twoview import PairPrior
+from gvpipe.core.kernels.links import fit_links, ground_from_pixel, place_links
+from gvpipe.core.slam.links import Link, Matches, matches_of
+from gvpipe.core.slam.placement import REWEIGHTINGS, place
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Camera, Float, Mount
 
@@ -29,6 +29,13 @@ PRIOR = PairPrior(
     log_scale=0.1,
 )
 """Looser than a robot deserves: pictures taken by hand must fit too."""
+
+LOSSES_PX = 20.0, 3.0
+"""Loss scales of the descents, pixels: the first is wide enough to bend a plane that is degrees
+off into place."""
+
+MAX_STEPS = 30
+"""Steps of each, at most."""
 
 MAX_FIT_PX = 3.0
 """Median error above which no motion over the ground explains a link's matches, pixels."""
@@ -95,18 +102,13 @@ def hold(
     held : Held
     """
     mounts = _with_tilts(links, ends, cameras, mounts, group)
-    reasons = [""] * len(links)
-    fits: dict[int, TwoView] = {}
-    for k, (i, j) in enumerate(ends.tolist()):
-        verdict = _fit(links[k], (cameras[i], cameras[j]), (mounts[i], mounts[j]))
-        if isinstance(verdict, str):
-            reasons[k] = verdict
-        else:
-            fits[k] = verdict
-    which = np.array(list(fits), dtype=np.int64)
-    ratios = np.array([fit.log_scale for fit in fits.values()])
-    log_heights = _log_heights(ends[which], ratios, len(mounts))
-    angles = _angles(ends[which], list(fits.values()), mounts, group)
+    sample = matches_of(links, SAMPLE_POINTS)
+    placed = place_all(sample, ends, cameras, mounts)
+    fits, error_px = _fitted(sample, ends, placed, cameras, mounts)
+    reasons = _verdicts(links, ends, placed, fits, error_px, mounts)
+    which = np.nonzero([not reason for reason in reasons])[0]
+    log_heights = _log_heights(ends[which], fits[which, 3], len(mounts))
+    angles = _angles(ends[which], fits[which], mounts, group)
     return Held(
         mounts,
         [
@@ -117,48 +119,97 @@ def hold(
     )
 
 
-def _sampled(link: Link) -> tuple[Float, Float]:
-    """Pick a bounded number of a link's matches."""
-    every = -(-len(link.points_i) // SAMPLE_POINTS)
-    return link.points_i[::every], link.points_j[::every]
+def place_all(
+    matches: Matches, ends: Index, cameras: Sequence[Camera], mounts: Sequence[Mount]
+) -> Float:
+    """Place both robots of each link on its ground, (E, 7).
 
-
-def _fit(link: Link, cameras: tuple[Camera, Camera], mounts: tuple[Mount, Mount]) -> TwoView | str:
-    """Fit the geometry of one link, or say why that is impossible."""
-    if len(link.points_i) < MIN_POINTS:
-        return f"{len(link.points_i)} matches, fewer than {MIN_POINTS}"
-    points_i, points_j = _sampled(link)
-    placement = place(points_i, points_j, cameras, mounts)
-    if placement is None:
-        return "its matches do not lie on the ground before both cameras"
-    c, s = np.cos(placement.turn), np.sin(placement.turn)
-    shift = placement.centre_j - np.array([[c, -s], [s, c]]) @ placement.centre_i
-    expected = TwoView(*cameras, *mounts)
-    start = replace(expected, yaw=placement.turn, x=float(shift[0]), y=float(shift[1]))
-    # the first descent is wide enough to bend a plane that is degrees off into place
-    for loss_px in (20.0, 3.0):
-        start = fit_two_views(start, expected, PRIOR, points_i, points_j, loss=loss_px).geometry
-    error_px = float(np.median(transfer_errors(start.homography, points_i, points_j)))
-    if error_px > MAX_FIT_PX:
-        return f"not a motion over the ground: its matches miss by {error_px:.1f} px (median)"
-    drift = start.drift(expected)
-    if drift > MAX_DRIFT or abs(start.log_scale) > MAX_LOG_SCALE:
-        return (
-            f"not a motion over the ground: it asks for a camera {np.degrees(drift):.0f} deg off "
-            f"and heights in the ratio {np.exp(start.log_scale):.2f}"
+    Columns are those of :class:`Placement`; NaN where the matches do not lie on the ground.
+    """
+    inverse = [np.linalg.inv(camera.matrix) for camera in cameras]
+    ground = [
+        ground_from_pixel(m.tilt, m.roll, m.height, k)
+        for m, k in zip(mounts, inverse, strict=True)
+    ]
+    return np.asarray(
+        place_links(
+            matches.start,
+            matches.points_i,
+            matches.points_j,
+            ends,
+            np.array(ground).reshape(-1, 3, 3),
+            np.array([m.height for m in mounts]),
+            REWEIGHTINGS,
         )
-    return start
+    )
 
 
-def _angles(ends: Index, fits: list[TwoView], mounts: Sequence[Mount], group: Index) -> Float:
+def _fitted(
+    sample: Matches,
+    ends: Index,
+    placed: Float,
+    cameras: Sequence[Camera],
+    mounts: Sequence[Mount],
+) -> tuple[Float, Float]:
+    """Fit the geometry of each link: parameters (E, 8) as of `TwoView`, median errors (E,)."""
+    matrix = np.array([camera.matrix for camera in cameras])
+    theta, error = fit_links(
+        sample.start,
+        sample.points_i,
+        sample.points_j,
+        ends,
+        placed,
+        np.array([(m.tilt, m.roll, m.height) for m in mounts]),
+        matrix,
+        np.linalg.inv(matrix),
+        PRIOR.weights,
+        np.array(LOSSES_PX),
+        MAX_STEPS,
+    )
+    return np.asarray(theta), np.asarray(error)
+
+
+def _verdicts(
+    links: Sequence[Link],
+    ends: Index,
+    placed: Float,
+    fits: Float,
+    error_px: Float,
+    mounts: Sequence[Mount],
+) -> list[str]:
+    """Say of each link why it is no motion over the ground; empty if it could be one."""
+    expected = np.array([(m.tilt, m.roll) for m in mounts])[ends].reshape(-1, 4)
+    known = np.array([(m.tilt_known, True) for m in mounts])[ends].reshape(-1, 4)
+    drift = np.where(known, np.abs(fits[:, 4:] - expected), 0.0).max(axis=1, initial=0.0)
+    reasons = []
+    for k, link in enumerate(links):
+        why = ""
+        if len(link.points_i) < MIN_POINTS:
+            why = f"{len(link.points_i)} matches, fewer than {MIN_POINTS}"
+        elif not np.isfinite(placed[k, 0]):
+            why = "its matches do not lie on the ground before both cameras"
+        elif not error_px[k] <= MAX_FIT_PX:
+            why = (
+                "not a motion over the ground: its matches miss by "
+                f"{error_px[k]:.1f} px (median)"
+            )
+        elif drift[k] > MAX_DRIFT or abs(fits[k, 3]) > MAX_LOG_SCALE:
+            why = (
+                "not a motion over the ground: it asks for a camera "
+                f"{np.degrees(drift[k]):.0f} deg off and heights in the ratio "
+                f"{np.exp(fits[k, 3]):.2f}"
+            )
+        reasons.append(why)
+    return reasons
+
+
+def _angles(ends: Index, fits: Float, mounts: Sequence[Mount], group: Index) -> Float:
     """Median tilt and roll (N, 2) of each picture over its links.
 
     The median of its robot has one vote, so that one wrong link of two does not decide.
     """
     image = ends.ravel()
-    seen = np.array([(m.tilt, m.roll) for fit in fits for m in (fit.mount_i, fit.mount_j)]).reshape(
-        -1, 2
-    )
+    seen = fits[:, 4:].reshape(-1, 2)
     out = np.array([(m.tilt, m.roll) for m in mounts]).reshape(-1, 2)
     of_robot = group[image]
     order = np.argsort(image, kind="stable")
@@ -233,7 +284,8 @@ def _with_tilts(
 
 def _misfit(link: Link, cameras: tuple[Camera, Camera], mounts: tuple[Mount, Mount]) -> float:
     """Misfit of a link's isometry over the radius of its points, bounded."""
-    placement = place(*_sampled(link), cameras, mounts)
+    every = -(-len(link.points_i) // SAMPLE_POINTS)
+    placement = place(link.points_i[::every], link.points_j[::every], cameras, mounts)
     if placement is None or placement.radius <= 0:
         return POOR_MISFIT
     return min(placement.misfit / placement.radius, POOR_MISFIT)

@@ -1,7 +1,10 @@
 """Links: two images that see the same ground, and the evidence for it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gvpipe.core.types import Float
 
@@ -34,22 +37,51 @@ class Link:
     points_j: Float
 
 
+@dataclass(frozen=True)
+class Matches:
+    """Matches of many links, one link's after the other's.
+
+    Attributes
+    ----------
+    start : (E + 1,) int64
+        Matches ``start[e]:start[e + 1]`` belong to link e.
+    points_i, points_j : (M, 2) float64
+        Pixels.
+    """
+
+    start: NDArray[np.int64]
+    points_i: Float
+    points_j: Float
+
+
+def matches_of(links: Sequence[Link], at_most: int | None = None) -> Matches:
+    """Gather the matches of links; of each only every n-th if it has more than `at_most`."""
+    every = [1 if at_most is None else -(-max(len(x.points_i), 1) // at_most) for x in links]
+    points_i = [x.points_i[::n] for x, n in zip(links, every, strict=True)]
+    points_j = [x.points_j[::n] for x, n in zip(links, every, strict=True)]
+    none = [np.empty((0, 2))]
+    return Matches(
+        np.cumsum([0, *map(len, points_i)], dtype=np.int64),
+        np.concatenate(points_i + none).astype(np.float64),
+        np.concatenate(points_j + none).astype(np.float64),
+    )
+
+
 def robot_of(image_id: str) -> str:
     """Robot that took an image: what stands before the first slash of its id."""
     return image_id.split("/", 1)[0]
 
 
-def link_kind(order: Sequence[str], image_i: str, image_j: str) -> str:
+def link_kind(place: Mapping[str, int], image_i: str, image_j: str) -> str:
     """Kind of a link: ``overlap`` of two robots, ``odometry`` or ``loop`` of one.
 
     Parameters
     ----------
-    order : sequence of str
-        Image ids of all robots, each robot's in the order they were taken.
+    place : mapping of image id to int
+        Places of the images, robot by robot, each robot's in the order they were taken.
     image_i, image_j : str
         Two of them.
     """
     if robot_of(image_i) != robot_of(image_j):
         return "overlap"
-    own = [image for image in order if robot_of(image) == robot_of(image_i)]
-    return "odometry" if abs(own.index(image_i) - own.index(image_j)) <= NEIGHBOURS else "loop"
+    return "odometry" if abs(place[image_i] - place[image_j]) <= NEIGHBOURS else "loop"

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.geometry.ground import ground_points
+from gvpipe.core.kernels.links import ground_from_pixel, place_pair
 from gvpipe.core.types import Camera, Float, Mount
 
-REWEIGHTINGS = 10
+REWEIGHTINGS = 9
 """Rounds of reweighted least squares of an isometry; it settles in about five."""
 
 
@@ -51,25 +51,18 @@ def place(
     placement : Placement or None
         Reweighted least squares; None if fewer than three matches lie below both horizons.
     """
-    ground_i, below_i = ground_points(points_i, cameras[0], mounts[0])
-    ground_j, below_j = ground_points(points_j, cameras[1], mounts[1])
-    both = below_i & below_j
-    if both.sum() < max(3, len(both) // 2):
-        return None
-    a, b = ground_i[both], ground_j[both]
-    weight = 1.0 / (1.0 + (a**2).sum(axis=1) / mounts[0].height ** 2)
-    base = weight
-    for _ in range(REWEIGHTINGS):
-        share = weight / weight.sum()
-        ca, cb = share @ a, share @ b
-        da, db = a - ca, b - cb
-        cross = share @ (da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0])
-        turn = float(np.arctan2(cross, share @ (da * db).sum(axis=1)))
-        c, s = np.cos(turn), np.sin(turn)
-        miss_sq = ((da - db @ np.array([[c, -s], [s, c]])) ** 2).sum(axis=1)
-        scale_sq = 4.0 * np.median(miss_sq) + 1e-12
-        weight = base / (1.0 + miss_sq / scale_sq)
-    share = weight / weight.sum()
-    return Placement(
-        ca, cb, turn, float(np.sqrt(share @ (da**2).sum(axis=1))), float(np.sqrt(share @ miss_sq))
+    ground = [
+        ground_from_pixel(m.tilt, m.roll, m.height, np.linalg.inv(c.matrix))
+        for c, m in zip(cameras, mounts, strict=True)
+    ]
+    found = place_pair(
+        np.ascontiguousarray(points_i, dtype=np.float64),
+        np.ascontiguousarray(points_j, dtype=np.float64),
+        *ground,
+        mounts[0].height,
+        REWEIGHTINGS,
     )
+    if not np.isfinite(found[0]):
+        return None
+    turn, radius, misfit = found[4:].tolist()
+    return Placement(found[:2], found[2:4], turn, radius, misfit)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.core.slam.consistency import agree
-from gvpipe.core.slam.links import Link
-from gvpipe.core.slam.placement import Placement, place
+from gvpipe.core.slam.holding import place_all
+from gvpipe.core.slam.links import Link, matches_of
 from gvpipe.core.slam.placements import Mask, Placements
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Camera, Float, Mount
@@ -18,6 +18,9 @@ TOLERANCE = 0.02
 TRUST = {"odometry": 4.0, "loop": 1.0, "overlap": 1.0}
 """Weight in the vote on contradictions: a robot's next picture nearly always shows the same
 ground, while loops and overlaps are found by resemblance."""
+
+SAMPLE_POINTS = 80
+"""Matches of a link that are looked at: spread over the picture, more hardly move it."""
 
 HALF_TRUST_POINTS = 50.0
 """Matches at which a link has half the weight of one with very many."""
@@ -63,37 +66,28 @@ def screen(
     -------
     screened : Screened
     """
-    placed: list[Placement] = []
-    used = []
-    for k in np.nonzero(usable)[0].tolist():
-        i, j = ends[k].tolist()
-        link, pair = links[k], (cameras[i], cameras[j])
-        placement = place(link.points_i, link.points_j, pair, (mounts[i], mounts[j]))
-        if placement is not None and placement.radius > 0:
-            placed.append(placement)
-            used.append(k)
-    which = np.array(used, dtype=np.int64)
+    placed = place_all(matches_of(links, SAMPLE_POINTS), ends, cameras, mounts)
+    used = np.nonzero(usable & (placed[:, 5] > 0))[0]
     heights = np.array([mount.height for mount in mounts])
-    planar, agrees = agree(_placements(links, placed, which, ends, heights), len(mounts))
+    planar, agrees = agree(_placements(links, placed[used], used, ends, heights), len(mounts))
     keep = np.zeros(len(links), dtype=bool)
-    keep[which] = agrees
+    keep[used] = agrees
     return Screened(planar, keep)
 
 
 def _placements(
-    links: Sequence[Link], placed: list[Placement], used: Index, ends: Index, heights: Float
+    links: Sequence[Link], placed: Float, used: Index, ends: Index, heights: Float
 ) -> Placements:
     """Lay the placements of the used links out as arrays."""
     count = np.array([len(links[k].points_i) for k in used.tolist()], dtype=np.float64)
     kind = np.array([TRUST[links[k].kind] for k in used.tolist()])
-    misfit = np.array([p.misfit for p in placed])
     return Placements(
         i=ends[used, 0],
         j=ends[used, 1],
-        centre_i=np.array([p.centre_i for p in placed]).reshape(-1, 2),
-        centre_j=np.array([p.centre_j for p in placed]).reshape(-1, 2),
-        turn=np.array([p.turn for p in placed]),
-        radius=np.array([p.radius for p in placed]),
-        tolerance=np.hypot(TOLERANCE * heights[ends[used, 0]], misfit),
+        centre_i=placed[:, :2],
+        centre_j=placed[:, 2:4],
+        turn=placed[:, 4],
+        radius=placed[:, 5],
+        tolerance=np.hypot(TOLERANCE * heights[ends[used, 0]], placed[:, 6]),
         trust=kind * count / (count + HALF_TRUST_POINTS),
     )
