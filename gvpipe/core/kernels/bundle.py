@@ -22,10 +22,11 @@ def misfit(
     camera: Index,
     pixel: Float,
     start: Index,
+    weight: Float,
     points: Float,
     track: int,
 ) -> float:
-    """Sum of the squared residuals of one point, squared pixels; arguments as in `evaluate`."""
+    """Weighted sum of the squared residuals of one point, squared pixels, see `evaluate`."""
     total = 0.0
     for k in range(start[track], start[track + 1]):
         i = camera[k]
@@ -40,7 +41,7 @@ def misfit(
             u = (g[0, 0] * dx + g[0, 1] * dy + g[0, 2] * dz) / w - pixel[k, 0]
             v = (g[1, 0] * dx + g[1, 1] * dy + g[1, 2] * dz) / w - pixel[k, 1]
             total += u * u + v * v
-    return total
+    return total * weight[track]
 
 
 @kernel
@@ -50,6 +51,7 @@ def evaluate(
     camera: Index,
     pixel: Float,
     start: Index,
+    weight: Float,
     points: Float,
     loss_px: float,
     misfits: Float,
@@ -68,6 +70,8 @@ def evaluate(
         Observed pixels.
     start : (T + 1,) int64
         Observations ``start[t]:start[t + 1]`` see point t.
+    weight : (T,) float64
+        Factor on the squared residuals of a point.
     points : (T, 2) float64
         Ground points in the map, metres.
     loss_px : float
@@ -88,7 +92,7 @@ def evaluate(
     """
     cost = 0.0
     for t in range(len(start) - 1):
-        misfits[t] = misfit(projection, centre, camera, pixel, start, points, t)
+        misfits[t] = misfit(projection, centre, camera, pixel, start, weight, points, t)
         bound = loss_px * loss_px * (start[t + 1] - start[t] - 1)
         cost += bound * np.log1p(misfits[t] / bound)
     return cost
@@ -102,6 +106,7 @@ def linearise(
     camera: Index,
     pixel: Float,
     start: Index,
+    weight: Float,
     points: Float,
     loss_px: float,
     pair_block: Index,
@@ -113,7 +118,7 @@ def linearise(
 ) -> None:
     """Gauss-Newton system of the cameras with every ground point eliminated (Schur complement).
 
-    The first eight arguments are those of :func:`evaluate`; `turned` (N, 3, 3, 3) holds the
+    The first nine arguments are those of :func:`evaluate`; `turned` (N, 3, 3, 3) holds the
     derivatives of `projection` by heading and the two leans.
 
     Parameters
@@ -144,8 +149,8 @@ def linearise(
     for t in range(len(start) - 1):
         first, count = start[t], start[t + 1] - start[t]
         bound = loss_px * loss_px * (count - 1)
-        total = misfit(projection, centre, camera, pixel, start, points, t)
-        track_weight = 1.0 / (1.0 + total / bound)
+        total = misfit(projection, centre, camera, pixel, start, weight, points, t)
+        track_weight = weight[t] / (1.0 + total / bound)
         v00, v01, v11 = 0.0, 0.0, 0.0
         g0, g1 = 0.0, 0.0
         pair_first = pair
@@ -161,7 +166,7 @@ def linearise(
             y2 = max(y2, MIN_DEPTH)
             u, v = y0 / y2, y1 / y2
             r0, r1 = u - pixel[k, 0], v - pixel[k, 1]
-            weight = track_weight if seen else 0.0
+            w = track_weight if seen else 0.0
             for q in range(2):
                 jp[0, q] = (g[0, q] - u * g[2, q]) / y2
                 jp[1, q] = (g[1, q] - v * g[2, q]) / y2
@@ -176,18 +181,18 @@ def linearise(
                 jc[a, 1, 2 + q] = (z1 - v * z2) / y2
             jc[a, 0, 5] = -(g[0, 2] - u * g[2, 2]) / y2 * centre[i, 2]
             jc[a, 1, 5] = -(g[1, 2] - v * g[2, 2]) / y2 * centre[i, 2]
-            v00 += weight * (jp[0, 0] * jp[0, 0] + jp[1, 0] * jp[1, 0])
-            v01 += weight * (jp[0, 0] * jp[0, 1] + jp[1, 0] * jp[1, 1])
-            v11 += weight * (jp[0, 1] * jp[0, 1] + jp[1, 1] * jp[1, 1])
-            g0 += weight * (jp[0, 0] * r0 + jp[1, 0] * r1)
-            g1 += weight * (jp[0, 1] * r0 + jp[1, 1] * r1)
+            v00 += w * (jp[0, 0] * jp[0, 0] + jp[1, 0] * jp[1, 0])
+            v01 += w * (jp[0, 0] * jp[0, 1] + jp[1, 0] * jp[1, 1])
+            v11 += w * (jp[0, 1] * jp[0, 1] + jp[1, 1] * jp[1, 1])
+            g0 += w * (jp[0, 0] * r0 + jp[1, 0] * r1)
+            g1 += w * (jp[0, 1] * r0 + jp[1, 1] * r1)
             own = pair_block[pair]
             for p in range(6):
-                gradient[i, p] += weight * (jc[a, 0, p] * r0 + jc[a, 1, p] * r1)
+                gradient[i, p] += w * (jc[a, 0, p] * r0 + jc[a, 1, p] * r1)
                 for q in range(2):
-                    coupling[k, p, q] = weight * (jc[a, 0, p] * jp[0, q] + jc[a, 1, p] * jp[1, q])
+                    coupling[k, p, q] = w * (jc[a, 0, p] * jp[0, q] + jc[a, 1, p] * jp[1, q])
                 for q in range(6):
-                    blocks[own, p, q] += weight * (
+                    blocks[own, p, q] += w * (
                         jc[a, 0, p] * jc[a, 0, q] + jc[a, 1, p] * jc[a, 1, q]
                     )
             pair += count - a

@@ -4,20 +4,28 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gvpipe.core.geometry.ground import pixel_from_plane
-from gvpipe.core.geometry.pose import robot_from_camera, rotation_matrix, yaw_tilt_roll
+from gvpipe.core.geometry.pose import robot_from_camera, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
-from gvpipe.core.slam.links import Link
+from gvpipe.core.slam.links import Link, matches_of
 from gvpipe.core.slam.rig import Rig, centres, orientation
-from gvpipe.core.slam.tracks import Index, Tracks, chain_matches
+from gvpipe.core.slam.tracks import Index, Tracks, cell_tracks, chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
 """Uncertainty of a tilt that was not configured, radians: next to nothing is known."""
+
+MANY_MATCHES = 200_000
+"""Matches of a component above which they are summed up before it is adjusted: about a thousand
+pictures. Below, every corner counts by itself, and once however many links share it."""
+
+JUDGED_LINKS = 400
+"""Links that tell how much of the errors is shared: their mean is good to a few per cent."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +137,7 @@ def adjust_part(
     )
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
     slot = {int(k): n for n, k in enumerate(members)}
-    tracks = chain_matches(
-        [(slot[i], slot[j]) for i, j, _ in links],
-        [(link.points_i, link.points_j) for _, _, link in links],
-    )
+    tracks = _tracks([(slot[i], slot[j]) for i, j, _ in links], [link for _, _, link in links])
     if not links:
         none = np.zeros((len(members), 6, 6))
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
@@ -152,7 +157,7 @@ def adjust_part(
     plane = [pixel_from_plane(views.cameras[k], p) for k, p in zip(members, poses, strict=True)]
     shared = shared_errors(
         (plane[slot[j]] @ np.linalg.inv(plane[slot[i]]), link.points_i, link.points_j)
-        for i, j, link in links
+        for i, j, link in links[:: -(-len(links) // JUDGED_LINKS)]
     )
     return Part(
         members,
@@ -162,6 +167,14 @@ def adjust_part(
         adjusted.state.points @ turn[:2, :2].T,
         own.fixes_the_map,
     )
+
+
+def _tracks(pairs: list[tuple[int, int]], links: list[Link]) -> Tracks:
+    """Chain matches to points, or sum them up if there are too many."""
+    if sum(len(link.points_i) for link in links) <= MANY_MATCHES:
+        return chain_matches(pairs, [(link.points_i, link.points_j) for link in links])
+    homographies = np.array([link.homography for link in links])
+    return cell_tracks(np.array(pairs, dtype=np.int64), matches_of(links), homographies)
 
 
 def _own(control: Control, slot: dict[int, int]) -> Control:
@@ -185,17 +198,17 @@ def _start(rig: Rig, held: Sequence[Mount], planar: Float) -> Float:
     """Set up the unknowns (M, 6) of the adjustment, in the frame of the first robot."""
     start = np.zeros((len(held), 6))
     start[:, :3] = _seen_from(planar[0], planar)
-    for k, mount in enumerate(held):
-        # as a turn about a level axis, then a heading: what lies upright tells the axis
-        turned = robot_from_camera(mount).rotation @ rig.robot_from_camera[k].T
-        up = turned[2]
-        sine = np.hypot(up[0], up[1])
-        angle = np.arctan2(sine, up[2])
-        level = np.array([up[1], -up[0], 0.0]) * (angle / sine if sine > 1e-12 else 1.0)
-        heading = turned @ rotation_matrix(level).T
-        start[k, 2] += np.arctan2(heading[1, 0], heading[0, 0])
-        start[k, 3:5] = level[1], level[0]
-        start[k, 5] = np.log(mount.height / rig.height[k])
+    # as a turn about a level axis, then a heading: what lies upright tells the axis
+    turned = np.stack([robot_from_camera(m).rotation for m in held])
+    turned = turned @ rig.robot_from_camera.transpose(0, 2, 1)
+    up = turned[:, 2]
+    sine = np.hypot(up[:, 0], up[:, 1])
+    angle = np.arctan2(sine, up[:, 2]) / np.maximum(sine, 1e-12)
+    level = np.column_stack([up[:, 1], -up[:, 0], np.zeros(len(up))]) * angle[:, None]
+    heading = turned @ Rotation.from_rotvec(-level).as_matrix()
+    start[:, 2] += np.arctan2(heading[:, 1, 0], heading[:, 0, 0])
+    start[:, 3:5] = level[:, 1::-1]
+    start[:, 5] = np.log([m.height for m in held] / rig.height)
     # the first camera's heading is held at zero
     start[:, :3] = _seen_from(start[0, :3], start[:, :3])
     return start

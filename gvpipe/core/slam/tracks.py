@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from gvpipe.core.kernels.links import gathered_cells
+from gvpipe.core.slam.links import Matches
 from gvpipe.core.types import Float
 
 Index = NDArray[np.int64]
@@ -17,6 +19,12 @@ SAME_CORNER_PX = 0.01
 
 Detections are stored as they were found, so one corner used in two pairs has equal coordinates
 up to rounding; corners found anew for each pair stay separate points."""
+
+CELLS = 4
+"""Cells, across and down, in which the matches of a link are summed up."""
+
+STRAY = 4.0
+"""Matches that depart from the homography by more than this many medians are not summed up."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +39,14 @@ class Tracks:
         Observed pixels.
     start : (T + 1,) int64
         Observations ``start[t]:start[t + 1]`` belong to point t.
+    weight : (T,) float64
+        Matches that each point stands for.
     """
 
     camera: Index
     pixel: Float
     start: Index
+    weight: Float
 
     @property
     def point(self) -> Index:
@@ -100,4 +111,42 @@ def _gather(
         camera=camera[first[corner]].astype(np.int64),
         pixel=pixel[first[corner]],
         start=np.append(starts, len(track)).astype(np.int64),
+        weight=np.ones(len(starts)),
+    )
+
+
+def cell_tracks(pairs: Index, matches: Matches, homographies: Float) -> Tracks:
+    """Sum the matches of each link up in a few points: what large maps can afford.
+
+    Parameters
+    ----------
+    pairs : (E, 2) int64
+        Cameras i and j of each link.
+    matches : Matches
+        Their matches.
+    homographies : (E, 3, 3) float64
+        Pixels of i to pixels of j.
+
+    Returns
+    -------
+    tracks : Tracks
+        Points seen by the two cameras of one link each, weighted with the matches they stand for.
+
+    Notes
+    -----
+    The mean of matches that lie together says nearly all that they say about eight numbers, the
+    homography. Corners that several links share count once for each of them.
+    """
+    link, points_i, points_j, weight = gathered_cells(
+        matches.start, matches.points_i, matches.points_j, homographies, CELLS, STRAY
+    )
+    camera = pairs[link]
+    pixel = np.stack([points_i, points_j], axis=1)
+    back = camera[:, 0] > camera[:, 1]
+    camera[back], pixel[back] = camera[back, ::-1], pixel[back, ::-1]
+    return Tracks(
+        camera=camera.ravel(),
+        pixel=pixel.reshape(-1, 2),
+        start=2 * np.arange(len(link) + 1),
+        weight=weight,
     )
