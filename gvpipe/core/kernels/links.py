@@ -224,6 +224,29 @@ def median_misses(start: Index, p: Float, q: Float, h: Float, which: Index) -> F
 
 
 @kernel
+def median_gaps(
+    start: Index, p: Float, q: Float, map_from_i: Float, map_from_j: Float, which: Index
+) -> Float:
+    """Median distances (W,) between the ground points of both pixels of each match, metres."""
+    out = np.empty(len(which))
+    for n in range(len(which)):
+        first, last = start[which[n]], start[which[n] + 1]
+        gap = np.empty(last - first)
+        a, b = map_from_i[n], map_from_j[n]
+        for k in range(first, last):
+            w = a[2, 0] * p[k, 0] + a[2, 1] * p[k, 1] + a[2, 2]
+            v = b[2, 0] * q[k, 0] + b[2, 1] * q[k, 1] + b[2, 2]
+            square = 0.0
+            for r in range(2):
+                here = (a[r, 0] * p[k, 0] + a[r, 1] * p[k, 1] + a[r, 2]) / w
+                there = (b[r, 0] * q[k, 0] + b[r, 1] * q[k, 1] + b[r, 2]) / v
+                square += (here - there) ** 2
+            gap[k - first] = np.sqrt(square) if np.isfinite(square) else np.inf
+        out[n] = np.median(gap)
+    return out
+
+
+@kernel
 def gathered_cells(
     start: Index, p: Float, q: Float, h: Float, cells: int, stray: float
 ) -> tuple[Index, Float, Float, Float]:

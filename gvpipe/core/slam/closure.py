@@ -2,11 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import breadth_first_order
 
 from gvpipe.core.geometry.homography import apply
 from gvpipe.core.slam.links import Link
@@ -66,41 +63,33 @@ def closures(
     """
     images = list(poses)
     index = {image: k for k, image in enumerate(images)}
-    step: dict[tuple[int, int], Float] = {}
+    step: dict[int, Float] = {}
     for link in links:
         i, j = index[link.image_i], index[link.image_j]
         if link.kind == "odometry" and abs(i - j) == 1:
-            step[i, j] = link.homography
-            step[j, i] = np.asarray(np.linalg.inv(link.homography), dtype=np.float64)
-    if not step:
-        return ()
-    i, j = np.array(list(step)).T
-    graph = csr_matrix(coo_matrix((np.ones(len(i)), (i, j)), (len(images), len(images))))
+            h = link.homography
+            step[min(i, j)] = h if i < j else np.asarray(np.linalg.inv(h), dtype=np.float64)
+    # links of the chain up to each image
+    whole = np.cumsum([0, *(k in step for k in range(len(images) - 1))])
     out = []
     for link in links:
-        if link.kind == "odometry":
-            continue
-        chain = _chain(graph, index[link.image_i], index[link.image_j])
-        if len(chain) <= SHORTEST_CHAIN:
-            continue
-        product = np.eye(3)
-        for a, b in pairwise(chain):
-            product = step[a, b] @ product
-            product /= np.linalg.norm(product)
-        out.append((link, len(chain) - 1, product))
+        i, j = sorted((index[link.image_i], index[link.image_j]))
+        if link.kind != "odometry" and SHORTEST_CHAIN <= j - i == whole[j] - whole[i]:
+            out.append((link, j - i))
     out.sort(key=lambda x: (-x[1], x[0].image_i, x[0].image_j))
-    return tuple(_measured(x, n, h, poses, cameras) for x, n, h in out[:REPORTED])
+    return tuple(
+        _measured(x, n, _product(step, index[x.image_i], index[x.image_j]), poses, cameras)
+        for x, n in out[:REPORTED]
+    )
 
 
-def _chain(graph: csr_matrix, start: int, end: int) -> list[int]:
-    """Shortest chain of nodes from start to end; empty if there is none."""
-    _, parent = breadth_first_order(graph, start, directed=False)
-    chain = [end]
-    while chain[-1] != start:
-        if parent[chain[-1]] < 0:
-            return []
-        chain.append(int(parent[chain[-1]]))
-    return chain[::-1]
+def _product(step: Mapping[int, Float], start: int, end: int) -> Float:
+    """Homography along the chain from one image to another."""
+    product = np.eye(3)
+    for k in range(min(start, end), max(start, end)):
+        product = step[k] @ product
+        product /= np.linalg.norm(product)
+    return product if start < end else np.asarray(np.linalg.inv(product), dtype=np.float64)
 
 
 def _measured(

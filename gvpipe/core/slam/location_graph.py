@@ -10,13 +10,13 @@ from scipy.sparse.csgraph import connected_components
 from gvpipe.core.geometry.pose import yaw_tilt_roll
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.holding import MIN_POINTS, hold
-from gvpipe.core.slam.links import Link, robot_of
+from gvpipe.core.slam.links import Link, Matches, matches_of, robot_of
 from gvpipe.core.slam.map_part import MapOptions, Part, Views, adjust_part
 from gvpipe.core.slam.map_result import Gathered, JudgedLink, MapResult, PosedImage, SeenGround
 from gvpipe.core.slam.placements import Mask
 from gvpipe.core.slam.screening import screen
 from gvpipe.core.slam.tracks import Index
-from gvpipe.core.slam.transfer import median_error_px
+from gvpipe.core.slam.transfer import map_from_pixel, median_errors
 from gvpipe.core.types import Camera, Float, Mount
 
 __all__ = [
@@ -111,18 +111,22 @@ def build_map(
         pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
         position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
     )
+    matches = matches_of(links)
+    enough = np.diff(matches.start) >= MIN_POINTS
     parts: list[Part] = []
     for _ in range(REVISIONS):
         parts = [
             adjust_part(views, members, _inside(members, ends, links, keep), planar, options, known)
             for members in _connected(len(order), index[reference], ends[keep])
         ]
-        errors_px = _errors_px(views, parts, ends, links)
-        revised = np.where(np.isnan(errors_px), keep, errors_px <= _limit_px(errors_px[keep]))
+        errors_px, distances_m = _errors(views, parts, ends, matches)
+        known_px = np.where(enough, errors_px, np.nan)
+        revised = np.where(np.isnan(known_px), keep, known_px <= _limit_px(known_px[keep]))
         if (revised == keep).all():
             break
         planar, keep = _planar(parts, planar), revised
-    return Gathered(order, views, parts, ends, links, keep).result(held.reasons, errors_px)
+    judged = Gathered(order, views, parts, ends, links, keep, known_px, distances_m)
+    return judged.result(held.reasons)
 
 
 def _robots(order: Sequence[str]) -> Index:
@@ -151,21 +155,19 @@ def _inside(
     return [(int(ends[k, 0]), int(ends[k, 1]), links[k]) for k in which.tolist()]
 
 
-def _errors_px(views: Views, parts: list[Part], ends: Index, links: Sequence[Link]) -> Float:
-    """Median transfer error of each link under the map; NaN where the map cannot tell."""
-    pose = {
-        int(k): (number, p)
-        for number, part in enumerate(parts)
-        for k, p in zip(part.members, part.poses, strict=True)
-    }
-    errors = np.full(len(links), np.nan)
-    for k, (i, j) in enumerate(ends.tolist()):
-        if len(links[k].points_i) >= MIN_POINTS and i in pose and j in pose:
-            (part_i, pose_i), (part_j, pose_j) = pose[i], pose[j]
-            if part_i == part_j:
-                cameras = views.cameras[i], views.cameras[j]
-                errors[k] = median_error_px(links[k], cameras, (pose_i, pose_j))
-    return errors
+def _errors(views: Views, parts: list[Part], ends: Index, matches: Matches) -> tuple[Float, Float]:
+    """Median error of each link under the map, pixels and metres; NaN where it cannot tell."""
+    part_of = np.full(len(views.group), -1, dtype=np.int64)
+    plane = np.tile(np.eye(3), (len(views.group), 1, 1))
+    for number, part in enumerate(parts):
+        part_of[part.members] = number
+        for k, p in zip(part.members.tolist(), part.poses, strict=True):
+            plane[k] = map_from_pixel(views.cameras[k], p)
+    together = (part_of[ends[:, 0]] == part_of[ends[:, 1]]) & (part_of[ends[:, 0]] >= 0)
+    which = np.nonzero(together & (np.diff(matches.start) > 0))[0]
+    errors_px, distances_m = np.full(len(ends), np.nan), np.full(len(ends), np.nan)
+    errors_px[which], distances_m[which] = median_errors(matches, ends, plane, which)
+    return errors_px, distances_m
 
 
 def _limit_px(errors_px: Float) -> float:

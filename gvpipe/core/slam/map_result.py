@@ -10,7 +10,6 @@ from gvpipe.core.slam.links import Link
 from gvpipe.core.slam.map_part import Part, Views
 from gvpipe.core.slam.placements import Mask
 from gvpipe.core.slam.tracks import Index, Tracks
-from gvpipe.core.slam.transfer import residual_m
 from gvpipe.core.types import Float, Pose
 
 
@@ -114,8 +113,10 @@ class Gathered:
     ends: Index
     links: Sequence[Link]
     keep: Mask
+    errors_px: Float
+    distances_m: Float
 
-    def result(self, reasons: list[str], errors_px: Float) -> MapResult:
+    def result(self, reasons: list[str]) -> MapResult:
         """Gather poses, judged links and what could not be registered."""
         posed = {
             int(k): PosedImage(pose, covariance, number)
@@ -125,10 +126,7 @@ class Gathered:
         poses = {image: posed[k] for k, image in enumerate(self.order) if k in posed}
         return MapResult(
             poses=poses,
-            links=tuple(
-                self._judged(k, posed, reasons[k], float(errors_px[k]))
-                for k in range(len(self.links))
-            ),
+            links=tuple(self._judged(k, reasons[k]) for k in range(len(self.links))),
             components=tuple(
                 tuple(self.order[k] for k in np.sort(part.members).tolist()) for part in self.parts
             ),
@@ -149,19 +147,10 @@ class Gathered:
             ),
         )
 
-    def _judged(
-        self, k: int, posed: Mapping[int, PosedImage], reason: str, error_px: float
-    ) -> JudgedLink:
+    def _judged(self, k: int, reason: str) -> JudgedLink:
         """Say what the map makes of link k."""
-        i, j = self.ends[k].tolist()
-        together = i in posed and j in posed and posed[i].component == posed[j].component
-        residual = None
-        if together and len(self.links[k].points_i):
-            residual = residual_m(
-                self.links[k],
-                (self.views.cameras[i], self.views.cameras[j]),
-                (posed[i].map_from_camera, posed[j].map_from_camera),
-            )
+        error_px, distance_m = float(self.errors_px[k]), float(self.distances_m[k])
+        residual = None if np.isnan(distance_m) else distance_m
         if self.keep[k]:
             return JudgedLink(True, residual, "")
         if not reason and np.isfinite(error_px):
