@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpotrf, dpotri
 
+from gvpipe.core.kernels.fronts import factor_fronts, marginal_fronts, solve_fronts
 from gvpipe.core.types import Float
 
 Index = NDArray[np.int64]
 
-LEAF = 12
+LEAF = 4
 """Places that are eliminated at once instead of being split further."""
 
 MAX_CUT = 0.4
@@ -41,10 +40,10 @@ class Front:
         Where the children's `bound` lie among this front's `own` and `bound`.
     places : (P,) int64
         Own places; the rest of `own` are unknowns of the border.
-    edges, at : (E,) int64, (E, 2) int64
-        Blocks below the diagonal that are added here, and their places within the front.
-    flipped : (E,) bool
-        Whether they are added transposed.
+    edges : (E, 3) int64
+        Blocks below the diagonal that are added here, and their rows and columns among its places.
+    flipped : (E,) int64
+        1 where they are added transposed.
     """
 
     own: Index
@@ -53,8 +52,62 @@ class Front:
     slots: list[Index]
     places: Index
     edges: Index
-    at: Index
-    flipped: NDArray[np.bool_]
+    flipped: Index
+
+
+@dataclass(frozen=True)
+class Tree:
+    """All fronts, laid out for the loops in :mod:`gvpipe.core.kernels.fronts`."""
+
+    own_first: Index
+    own: Index
+    bound_first: Index
+    bound: Index
+    child_first: Index
+    children: Index
+    slot_first: Index
+    slots: Index
+    place_first: Index
+    places: Index
+    edge_first: Index
+    edges: Index
+    flipped: Index
+    factor_first: Index
+    stack_size: int
+
+
+def _laid_out(fronts: list[Front]) -> Tree:
+    """Lay the lists of the fronts out one after the other."""
+    slot: list[Index] = [np.empty(0, dtype=np.int64) for _ in fronts]
+    for front in fronts:
+        for child, where in zip(front.children, front.slots, strict=True):
+            slot[child] = where
+    own, bound = [x.own for x in fronts], [x.bound for x in fronts]
+    rest = np.array([len(x) for x in bound])
+    sizes = [len(x) * (len(x) + r) for x, r in zip(own, rest.tolist(), strict=True)]
+    waiting, most = 0, 0
+    for k, front in enumerate(fronts):
+        waiting += int(rest[k] ** 2)
+        most = max(most, waiting)
+        waiting -= int((rest[front.children] ** 2).sum())
+    return Tree(
+        *_joined(own),
+        *_joined(bound),
+        *_joined([np.array(x.children, dtype=np.int64) for x in fronts]),
+        *_joined(slot),
+        *_joined([x.places for x in fronts]),
+        _joined([x.flipped for x in fronts])[0],
+        np.concatenate([x.edges for x in fronts]),
+        np.concatenate([x.flipped for x in fronts]),
+        np.cumsum([0, *sizes], dtype=np.int64),
+        most,
+    )
+
+
+def _joined(lists: list[Index]) -> tuple[Index, Index]:
+    """Beginnings of lists, and the lists one after the other."""
+    first = np.cumsum([0, *map(len, lists)], dtype=np.int64)
+    return first, np.concatenate(lists).astype(np.int64)
 
 
 class Dissection:
@@ -78,7 +131,7 @@ class Dissection:
         sets: list[tuple[Index, list[int]]] = []
         side = np.zeros(self.count, dtype=np.int64)
         _split(np.arange(self.count), i, j, where, side, sets)
-        self.fronts = self._fronts(sets)
+        self.tree = _laid_out(self._fronts(sets))
 
     def _fronts(self, sets: list[tuple[Index, list[int]]]) -> list[Front]:
         """Find what each front touches, children before parents."""
@@ -118,7 +171,7 @@ class Dissection:
                 mine = np.append(mine, tail)
             else:
                 rest = np.append(rest, tail)
-            at = np.column_stack([later[edges], first[edges]])
+            at = np.searchsorted(here, np.column_stack([later[edges], first[edges]]))
             out.append(
                 Front(
                     own=mine,
@@ -126,9 +179,8 @@ class Dissection:
                     children=children,
                     slots=slots,
                     places=own,
-                    edges=edges,
-                    at=np.searchsorted(here, at),
-                    flipped=~flipped[edges],
+                    edges=np.column_stack([edges, at]),
+                    flipped=(~flipped[edges]).astype(np.int64),
                 )
             )
         return out
@@ -203,78 +255,62 @@ class Factor:
 
     def __init__(self, plan: Dissection, blocks: Blocks) -> None:
         self.plan = plan
-        self._lower: list[tuple[Float, Float]] = []
-        left: list[Float | None] = []
-        for front in plan.fronts:
-            matrix = _assembled(plan, front, blocks)
-            for child, slot in zip(front.children, front.slots, strict=True):
-                matrix[np.ix_(slot, slot)] += left[child]
-                left[child] = None
-            k = len(front.own)
-            upper, failed = dpotrf(matrix[:k, :k], lower=1, clean=1) if k else (matrix[:0, :0], 0)
-            if failed:
-                raise np.linalg.LinAlgError("the matrix is not positive definite")
-            below = matrix[k:, :k]
-            if k and len(front.bound):
-                below = dtrsm(1.0, upper, below, side=1, lower=1, trans_a=1)
-            self._lower.append((upper, below))
-            left.append(matrix[k:, k:] - below @ below.T)
+        tree = plan.tree
+        definite, self._factors = factor_fronts(
+            plan.size,
+            plan.border,
+            tree.own_first,
+            tree.bound_first,
+            tree.child_first,
+            tree.children,
+            tree.slot_first,
+            tree.slots,
+            tree.place_first,
+            tree.places,
+            tree.edge_first,
+            tree.edges,
+            tree.flipped,
+            tree.factor_first,
+            tree.stack_size,
+            blocks.diagonal,
+            blocks.between,
+            blocks.border,
+            blocks.corner,
+        )
+        if not definite:
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
 
     def solve(self, right: Float) -> Float:
         """Solve for right sides (S,) or (S, C)."""
-        x = right.reshape(len(right), -1).copy()
-        for front, (pivot, below) in zip(self.plan.fronts, self._lower, strict=True):
-            if len(front.own):
-                x[front.own] = dtrsm(1.0, pivot, x[front.own], lower=1)
-                x[front.bound] -= below @ x[front.own]
-        for front, (pivot, below) in zip(self.plan.fronts[::-1], self._lower[::-1], strict=True):
-            if len(front.own):
-                own = x[front.own] - below.T @ x[front.bound]
-                x[front.own] = dtrsm(1.0, pivot, own, lower=1, trans_a=1)
+        tree = self.plan.tree
+        x = right.reshape(len(right), -1).astype(np.float64)
+        solve_fronts(
+            tree.own_first,
+            tree.own,
+            tree.bound_first,
+            tree.bound,
+            tree.factor_first,
+            self._factors,
+            x,
+        )
         return x.reshape(right.shape)
 
     def marginals(self) -> Float:
         """Blocks (N, S, S) of the inverse on its diagonal."""
-        plan, size = self.plan, self.plan.size
-        out = np.empty((plan.count, size, size))
-        inherited: dict[int, Float] = {}
-        for number in range(len(plan.fronts) - 1, -1, -1):
-            front, (pivot, below) = plan.fronts[number], self._lower[number]
-            k = len(front.own)
-            whole = np.empty((k + len(front.bound),) * 2, order="F")
-            whole[k:, k:] = inherited.pop(number, np.empty((0, 0)))
-            if k:
-                inverse = dpotri(pivot, lower=1)[0]
-                inverse = np.tril(inverse) + np.tril(inverse, -1).T
-                if len(front.bound):
-                    weight = dtrsm(1.0, pivot, below, side=1, lower=1)
-                    whole[k:, :k] = -whole[k:, k:] @ weight
-                    whole[:k, k:] = whole[k:, :k].T
-                    inverse -= weight.T @ whole[k:, :k]
-                whole[:k, :k] = inverse
-            for child, slot in zip(front.children, front.slots, strict=True):
-                inherited[child] = whole[np.ix_(slot, slot)]
-            n = len(front.places)
-            own = whole[: n * size, : n * size].reshape(n, size, n, size)
-            out[front.places] = own[np.arange(n), :, np.arange(n)]
-        return out
-
-
-def _assembled(plan: Dissection, front: Front, blocks: Blocks) -> Float:
-    """Lay out the matrix of a front, children aside; only its lower triangle counts."""
-    size, n = plan.size, len(front.places)
-    width = len(front.own) + len(front.bound)
-    inner = (width - plan.border) // size
-    matrix = np.zeros((width, width), order="F")
-    core = matrix[: inner * size, : inner * size].reshape(inner, size, inner, size)
-    own = np.arange(n)
-    core[own, :, own] = blocks.diagonal[front.places]
-    values = blocks.between[front.edges]
-    values = np.where(front.flipped[:, None, None], values.transpose(0, 2, 1), values)
-    core[front.at[:, 0], :, front.at[:, 1]] = values
-    if plan.border:
-        rows = blocks.border[front.places].reshape(n * size, plan.border)
-        matrix[inner * size :, : n * size] = rows.T
-        if not len(front.bound):
-            matrix[inner * size :, inner * size :] = blocks.corner
-    return matrix
+        tree = self.plan.tree
+        return np.asarray(
+            marginal_fronts(
+                self.plan.size,
+                tree.own_first,
+                tree.bound_first,
+                tree.child_first,
+                tree.children,
+                tree.slot_first,
+                tree.slots,
+                tree.place_first,
+                tree.places,
+                tree.factor_first,
+                self._factors,
+                2 * tree.stack_size,
+            )
+        )
