@@ -24,8 +24,8 @@ vanish beside the data."""
 ROUNDS = 8
 """Re-estimations of the variances at most; they settle in three to five."""
 
-STEPS = 10
-"""Levenberg-Marquardt steps a round."""
+FIRST_STEPS, ROUND_STEPS, STEPS = 6, 3, 10
+"""Levenberg-Marquardt steps at most: at first, between two estimates of the variances, at last."""
 
 SETTLED = 0.02
 """The variances have settled when none changes by more than this share."""
@@ -104,10 +104,10 @@ def adjust(
         within[:, 2] = height_sigma
     spread = Spread(within, mean_sigma, np.full(groups, -1, dtype=np.int64))
     state = State(cameras, np.zeros((groups, 3)), problem.initial_points(cameras))
-    state = problem.minimise(state, spread, FIRST_LOSS_PX, 1.0, STEPS)
+    state = problem.minimise(state, spread, FIRST_LOSS_PX, 1.0, FIRST_STEPS)
     loss_px, noise_px = _noise(problem, state)
     for _ in range(ROUNDS):
-        state = problem.minimise(state, spread, loss_px, noise_px, STEPS)
+        state = problem.minimise(state, spread, loss_px, noise_px, ROUND_STEPS)
         state = rescaled(state, spread)
         variance = _variances(problem, state, spread, loss_px, noise_px)
         tighter = _within(problem.rig, state, spread, variance, height_sigma)
@@ -170,10 +170,14 @@ def _noise(problem: Problem, state: State) -> tuple[float, float]:
 def _variances(
     problem: Problem, state: State, spread: Spread, loss_px: float, noise_px: float
 ) -> Float:
-    """Variances (N, 3) of leans and logarithmic heights given the data and the present priors."""
+    """Variances (N, 3) of the deviations from the robots' means, given data and present priors."""
     normal = problem.normal(state, spread, loss_px, noise_px)
-    own, _ = marginal_covariances(normal, np.empty(0, dtype=np.int64))
-    return np.asarray(np.einsum("nii->ni", own)[:, 3:])
+    cameras, groups = len(state.cameras), len(state.means)
+    own, beside = marginal_covariances(normal, 6 * cameras + np.arange(3 * groups))
+    picked = 3 * problem.rig.group[:, None] + np.arange(3)
+    mixed = beside[6 * np.arange(cameras)[:, None] + 3 + np.arange(3), picked]
+    mean = np.diagonal(beside[6 * cameras :])[picked]
+    return np.asarray(np.einsum("nii->ni", own)[:, 3:] - 2.0 * mixed + mean)
 
 
 def _within(
@@ -228,7 +232,8 @@ def pose_covariances(
     normal = problem.normal(adjusted.state, adjusted.spread, adjusted.loss_px, noise_px)
     count = len(cameras)
     lean = (6 * reference + np.array([3, 4])).astype(np.int64)
-    own, cross = marginal_covariances(normal, lean)
+    own, beside = marginal_covariances(normal, lean)
+    cross = beside[: 6 * count].reshape(count, 6, 2)
     jacobian = pose_jacobians(rig, cameras)
     if problem.control:
         return np.asarray(jacobian @ own @ jacobian.transpose(0, 2, 1))

@@ -201,7 +201,7 @@ def agree(links: Placements, count: int) -> tuple[Float, Mask]:
     limit = WIDE
     while True:
         keep = _off(links, planar) <= limit
-        planar = _settle(links, planar, keep * links.trust / links.tolerance**2, held, steps=5)
+        planar = _settle(links, planar, keep * links.trust / links.tolerance**2, held, steps=2)
         if limit <= 1.0:
             return planar, _off(links, planar) <= 1.0
         limit = max(limit / TIGHTENING, 1.0)

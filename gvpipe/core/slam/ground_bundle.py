@@ -12,10 +12,10 @@ from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, prior
 from gvpipe.core.slam.tracks import Index, Tracks
 from gvpipe.core.types import Float
 
-RELATIVE_GAIN = 1e-7
+RELATIVE_GAIN = 1e-6
 """The adjustment stops when a step lowers the cost by less than this share."""
 
-FIRST_DAMPING = 1e-4
+FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8
 """Share by which the diagonal is raised at first, and where the search for a step ends."""
 

@@ -67,14 +67,14 @@ def marginal_covariances(normal: Normal, beside: Index) -> tuple[Float, Float]:
     normal : Normal
         Of N cameras.
     beside : (C,) int64
-        Further unknowns whose covariance with every camera is wanted; none of them held.
+        Further unknowns whose covariance with all is wanted; none of them held.
 
     Returns
     -------
     own : (N, 6, 6) float64
         Covariance of each camera's unknowns; zero where they are held fixed.
-    cross : (N, 6, C) float64
-        Covariance of each camera's unknowns with those in `beside`.
+    cross : (S, C) float64
+        Covariance of all unknowns with those in `beside`.
     """
     plan = normal.plan
     factor = normal.factor()
@@ -83,5 +83,4 @@ def marginal_covariances(normal: Normal, beside: Index) -> tuple[Float, Float]:
     own[camera, unknown, unknown] = 0.0
     columns = np.zeros((plan.size * plan.count + plan.border, len(beside)))
     columns[beside, np.arange(len(beside))] = 1.0
-    cross = factor.solve(columns)[: plan.size * plan.count]
-    return own, cross.reshape(plan.count, plan.size, len(beside))
+    return own, factor.solve(columns)
