@@ -137,7 +137,7 @@ def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: 
     """Weighted Gauss-Newton on the placements; `held` images stay."""
     low, high = np.minimum(links.i, links.j), np.maximum(links.i, links.j)
     pairs, pair = np.unique(low * len(planar) + high, return_inverse=True)
-    plan = Dissection(pairs // len(planar), pairs % len(planar), planar[:, :2], size=3)
+    plan = Dissection(pairs // len(planar), pairs % len(planar), _seen(links, planar), size=3)
     for _ in range(steps):
         residual = disagreements(links, planar)
         at_i = _change(links.radius, planar[links.i, 2], links.centre_i)
@@ -160,6 +160,15 @@ def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: 
         if np.abs(step).max(initial=0.0) < SETTLED_M:
             break
     return planar
+
+
+def _seen(links: Placements, planar: Float) -> Float:
+    """Middle of the ground (N, 2) that each image shares with others: what is linked lies near."""
+    total, count = np.zeros((len(planar), 2)), np.zeros(len(planar))
+    for end, centre in ((links.i, links.centre_i), (links.j, links.centre_j)):
+        np.add.at(total, end, centre)
+        np.add.at(count, end, 1.0)
+    return planar[:, :2] + turned(planar[:, 2], total / np.maximum(count, 1.0)[:, None])
 
 
 def _change(radius: Float, heading: Float, centre: Float) -> Float:

@@ -24,7 +24,7 @@ class Problem:
     """One connected set of cameras with their tracks.
 
     Position and heading of the `reference` camera are held, or nothing is where known ground
-    points fix the map instead. Rough positions `where` of the cameras (N, 2) only save time.
+    points fix the map instead. Rough positions `where` (N, 2) of what the cameras see save time.
     """
 
     def __init__(

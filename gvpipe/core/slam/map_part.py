@@ -27,6 +27,9 @@ pictures. Below, every corner counts by itself, and once however many links shar
 JUDGED_LINKS = 400
 """Links that tell how much of the errors is shared: their mean is good to a few per cent."""
 
+WELL_SEEN = 3.0
+"""Camera heights to which the ground counts as the middle of the picture at most."""
+
 
 @dataclass(frozen=True)
 class MapOptions:
@@ -141,7 +144,7 @@ def adjust_part(
     if not links:
         none = np.zeros((len(members), 6, 6))
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
-    problem = Problem(rig, tracks, 0, where=start[:, :2])
+    problem = Problem(rig, tracks, 0, where=_looked_at(rig, start))
     adjusted = adjust(
         problem,
         start,
@@ -219,6 +222,13 @@ def _seen_from(origin: Float, planar: Float) -> Float:
     c, s = np.cos(origin[2]), np.sin(origin[2])
     moved = (planar[:, :2] - origin[:2]) @ np.array([[c, -s], [s, c]])
     return np.column_stack([moved, planar[:, 2] - origin[2]])
+
+
+def _looked_at(rig: Rig, cameras: Float) -> Float:
+    """Ground (N, 2) in the middle of what each camera sees well: what is linked lies near."""
+    axis = orientation(rig, cameras)[0][:, 2]
+    reach = np.minimum(-1.0 / np.minimum(axis[:, 2], -1e-9), WELL_SEEN)
+    return np.asarray(cameras[:, :2] + axis[:, :2] * (reach * rig.height)[:, None])
 
 
 def _turn(rig: Rig, cameras: Float) -> Float:
