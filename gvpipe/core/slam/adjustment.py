@@ -24,10 +24,10 @@ vanish beside the data."""
 ROUNDS = 8
 """Re-estimations of the variances at most; they settle in three to five."""
 
-FIRST_STEPS, ROUND_STEPS, STEPS = 6, 3, 10
+FIRST_STEPS, ROUND_STEPS, STEPS = 3, 2, 10
 """Levenberg-Marquardt steps at most: at first, between two estimates of the variances, at last."""
 
-SETTLED = 0.02
+SETTLED = 0.05
 """The variances have settled when none changes by more than this share."""
 
 HELD_BY_HAND = 0.01
@@ -73,10 +73,10 @@ class Adjusted:
     noise_px: float
 
 
-def adjust(
+def begin(
     problem: Problem, cameras: Float, mean_sigma: Float, height_sigma: float | None
 ) -> Adjusted:
-    """Alternate between the adjustment and the variances it rests on.
+    """Start from cameras whose pictures fit to a pixel or so, held loosely.
 
     Parameters
     ----------
@@ -86,6 +86,40 @@ def adjust(
         Initial unknowns, see :class:`State`.
     mean_sigma : (G, 3) float64
         Uncertainty of each robot's configured leans (radians) and relative height.
+    height_sigma : float, optional
+        Relative deviation of single heights within a robot; loose if None.
+
+    Returns
+    -------
+    start : Adjusted
+        With the noise that the residuals show.
+    """
+    groups = problem.groups
+    within = np.tile([LOOSE_LEAN, LOOSE_LEAN, LOOSE_HEIGHT], (groups, 1))
+    if height_sigma is not None:
+        within[:, 2] = height_sigma
+    spread = Spread(within, mean_sigma, np.full(groups, -1, dtype=np.int64))
+    state = State(cameras, np.zeros((groups, 3)), problem.initial_points(cameras))
+    return Adjusted(state, spread, *_noise(problem, state))
+
+
+def approach(problem: Problem, start: Adjusted) -> Adjusted:
+    """Bring cameras near to their places when only rough ones are known, see :func:`begin`."""
+    state = problem.minimise(start.state, start.spread, FIRST_LOSS_PX, 1.0, FIRST_STEPS)
+    loss_px, noise_px = _noise(problem, state)
+    state = problem.minimise(state, start.spread, loss_px, noise_px, FIRST_STEPS)
+    return replace(start, state=state, loss_px=loss_px, noise_px=noise_px)
+
+
+def adjust(problem: Problem, start: Adjusted, height_sigma: float | None) -> Adjusted:
+    """Alternate between the adjustment and the variances it rests on.
+
+    Parameters
+    ----------
+    problem : Problem
+        Cameras and tracks.
+    start : Adjusted
+        See :func:`begin`.
     height_sigma : float, optional
         Relative deviation of single heights within a robot; estimated if None.
 
@@ -98,14 +132,8 @@ def adjust(
     Deviations within robots start loose and follow MacKay's evidence update: their squared sum
     over the number of them that the data determine.
     """
-    groups = problem.groups
-    within = np.tile([LOOSE_LEAN, LOOSE_LEAN, LOOSE_HEIGHT], (groups, 1))
-    if height_sigma is not None:
-        within[:, 2] = height_sigma
-    spread = Spread(within, mean_sigma, np.full(groups, -1, dtype=np.int64))
-    state = State(cameras, np.zeros((groups, 3)), problem.initial_points(cameras))
-    state = problem.minimise(state, spread, FIRST_LOSS_PX, 1.0, FIRST_STEPS)
-    loss_px, noise_px = _noise(problem, state)
+    state, spread = start.state, start.spread
+    loss_px, noise_px = start.loss_px, start.noise_px
     for _ in range(ROUNDS):
         state = problem.minimise(state, spread, loss_px, noise_px, ROUND_STEPS)
         state = rescaled(state, spread)

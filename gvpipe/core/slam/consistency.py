@@ -24,6 +24,9 @@ DOUBT = 1.0
 TRIANGLES = 8
 """Triangles looked at per link, at most."""
 
+STEPS = 3
+"""Gauss-Newton steps of the first round, at most."""
+
 SETTLED_M = 1e-6
 """Gauss-Newton stops when no image moves by more than this, metres or radians."""
 
@@ -133,11 +136,24 @@ def grow(links: Placements, count: int) -> tuple[Float, Index]:
     return np.asarray(planar), np.asarray(component)
 
 
-def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: int) -> Float:
+def _planned(links: Placements, planar: Float) -> tuple[Dissection, Index]:
+    """Plan the elimination of all images; block of each link (E,)."""
+    count = len(planar)
+    keys = np.minimum(links.i, links.j) * count + np.maximum(links.i, links.j)
+    pairs, block = np.unique(keys, return_inverse=True)
+    return Dissection(pairs // count, pairs % count, _seen(links, planar), size=3), block
+
+
+def _settle(
+    links: Placements,
+    planar: Float,
+    weight: Float,
+    held: Mask,
+    planned: tuple[Dissection, Index],
+    steps: int,
+) -> Float:
     """Weighted Gauss-Newton on the placements; `held` images stay."""
-    low, high = np.minimum(links.i, links.j), np.maximum(links.i, links.j)
-    pairs, pair = np.unique(low * len(planar) + high, return_inverse=True)
-    plan = Dissection(pairs // len(planar), pairs % len(planar), _seen(links, planar), size=3)
+    plan, pair = planned
     for _ in range(steps):
         residual = disagreements(links, planar)
         at_i = _change(links.radius, planar[links.i, 2], links.centre_i)
@@ -148,7 +164,7 @@ def _settle(links: Placements, planar: Float, weight: Float, held: Mask, steps: 
             np.add.at(diagonal, end, heavy.transpose(0, 2, 1) @ change)
             np.add.at(right, end, -np.einsum("eki,ek->ei", heavy, residual))
         mixed = weight[:, None, None] * at_i.transpose(0, 2, 1) @ at_j
-        between = np.zeros((len(pairs), 3, 3))
+        between = np.zeros((len(plan.i), 3, 3))
         forward = (links.i < links.j)[:, None, None]
         np.add.at(between, pair, np.where(forward, mixed, mixed.transpose(0, 2, 1)))
         # the frame is free: whatever holds the first image of a part at its place moves nothing
@@ -207,10 +223,14 @@ def agree(links: Placements, count: int) -> tuple[Float, Mask]:
     planar, component = grow(links, count)
     held = np.zeros(count, dtype=bool)
     held[np.unique(component, return_index=True)[1]] = True
+    planned = _planned(links, planar)
     limit = WIDE
     while True:
         keep = _off(links, planar) <= limit
-        planar = _settle(links, planar, keep * links.trust / links.tolerance**2, held, steps=2)
+        weight = keep * links.trust / links.tolerance**2
+        # headings are nearly right after the first round, and the rest is linear
+        steps = STEPS if limit == WIDE else 1
+        planar = _settle(links, planar, weight, held, planned, steps)
         if limit <= 1.0:
             return planar, _off(links, planar) <= 1.0
         limit = max(limit / TIGHTENING, 1.0)

@@ -1,7 +1,7 @@
 """The location graph: images, the links between them, and the joint metric map they carry."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -35,8 +35,8 @@ STRAY = 5.0
 """A link is wrong if the median transfer error of its matches under the map is above this many
 times that of the usual link, within these bounds in pixels."""
 
-REVISIONS = 4
-"""Rounds of adjusting the map and judging the links by it, at most."""
+REVISIONS = 5
+"""Rounds of adjusting the map and judging the links by it, at most; the first is a rough one."""
 
 
 @dataclass(frozen=True)
@@ -114,17 +114,26 @@ def build_map(
     matches = matches_of(links)
     enough = np.diff(matches.start) >= MIN_POINTS
     parts: list[Part] = []
-    for _ in range(REVISIONS):
+    for revision in range(REVISIONS):
         parts = [
-            adjust_part(views, members, _inside(members, ends, links, keep), planar, options, known)
+            adjust_part(
+                views,
+                members,
+                _inside(members, ends, links, keep),
+                planar,
+                options,
+                known,
+                rough=revision == 0,
+            )
             for members in _connected(len(order), index[reference], ends[keep])
         ]
         errors_px, distances_m = _errors(views, parts, ends, matches)
         known_px = np.where(enough, errors_px, np.nan)
         revised = np.where(np.isnan(known_px), keep, known_px <= _limit_px(known_px[keep]))
-        if (revised == keep).all():
+        if (revised == keep).all() and revision > 0:
             break
-        planar, keep = _planar(parts, planar), revised
+        views, planar = _started(parts, views, planar)
+        keep = revised
     judged = Gathered(order, views, parts, ends, links, keep, known_px, distances_m)
     return judged.result(held.reasons)
 
@@ -177,10 +186,12 @@ def _limit_px(errors_px: Float) -> float:
     return float(np.clip(STRAY * usual, MIN_LIMIT_PX, MAX_LIMIT_PX))
 
 
-def _planar(parts: list[Part], planar: Float) -> Float:
-    """Positions and headings of the adjusted images, each component in its own frame."""
-    out = planar.copy()
+def _started(parts: list[Part], views: Views, planar: Float) -> tuple[Views, Float]:
+    """Take what was adjusted as the start of the next adjustment; each part in its own frame."""
+    out, held = planar.copy(), list(views.held)
     for part in parts:
-        for k, p in zip(part.members, part.poses, strict=True):
-            out[k] = [p.translation[0], p.translation[1], yaw_tilt_roll(p.rotation)[0]]
-    return out
+        for k, p in zip(part.members.tolist(), part.poses, strict=True):
+            yaw, tilt, roll = yaw_tilt_roll(p.rotation)
+            out[k] = [p.translation[0], p.translation[1], yaw]
+            held[k] = replace(held[k], tilt=tilt, roll=roll, height=float(p.translation[2]))
+    return replace(views, held=held), out

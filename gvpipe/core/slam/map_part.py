@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.pose import robot_from_camera, yaw_tilt_roll
-from gvpipe.core.slam.adjustment import adjust, fixed_by, pose_covariances
+from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
@@ -107,6 +107,8 @@ def adjust_part(
     planar: Float,
     options: MapOptions,
     control: Control,
+    *,
+    rough: bool = False,
 ) -> Part:
     """Adjust the cameras of one component.
 
@@ -119,11 +121,15 @@ def adjust_part(
     links : sequence of (image i, image j, Link)
         Links between them, which connect them all.
     planar : (N, 3) float64
-        Rough position and heading of every image, in any common frame.
+        Position and heading of every image, in any common frame.
     options : MapOptions
         Priors.
     control : Control
         Known ground points; its cameras are numbers of images.
+    rough : bool
+        Only find out where everything is, from rough positions: no variances are judged,
+        covariances are zero, and known points wait. Otherwise `views` and `planar` must be what a
+        rough adjustment has found.
 
     Returns
     -------
@@ -141,16 +147,20 @@ def adjust_part(
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
     slot = {int(k): n for n, k in enumerate(members)}
     tracks = _tracks([(slot[i], slot[j]) for i, j, _ in links], [link for _, _, link in links])
+    none = np.zeros((len(members), 6, 6))
     if not links:
-        none = np.zeros((len(members), 6, 6))
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
     problem = Problem(rig, tracks, 0, where=_looked_at(rig, start))
-    adjusted = adjust(
-        problem,
-        start,
-        _mean_sigma(views, members, rig.group, options),
-        None if options.height_sigma is None else options.height_sigma / float(rig.height.mean()),
+    mean_sigma = _mean_sigma(views, members, rig.group, options)
+    height_sigma = (
+        None if options.height_sigma is None else options.height_sigma / float(rig.height.mean())
     )
+    adjusted = begin(problem, start, mean_sigma, height_sigma)
+    if rough:
+        state = approach(problem, adjusted).state
+        poses = _poses(rig, state.cameras, _turn(rig, state.cameras))
+        return Part(members, poses, none, tracks, state.points)
+    adjusted = adjust(problem, adjusted, height_sigma)
     own = _own(control, slot)
     turn = _turn(rig, adjusted.state.cameras)
     if own.fixes_the_map:
