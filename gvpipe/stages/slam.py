@@ -171,7 +171,7 @@ def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
 
 
 def _places(context: Context) -> dict[str, int]:
-    """Number the images, robot by robot."""
+    """Return the place of each image, robot by robot."""
     return {entry.image_id: k for k, entry in enumerate(context.dataset.entries)}
 
 

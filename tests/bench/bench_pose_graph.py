@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import coo_matrix
 from scipy.spatial import cKDTree
 
-from gvpipe.core.geometry.ground import ground_points, pixel_from_plane
+from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply, fit_linear
 from gvpipe.core.geometry.pose import planar_pose, rotation_vector, yaw_tilt_roll
 from gvpipe.core.slam.consistency import grow
@@ -118,8 +118,7 @@ def matched(
     ground = apply(np.linalg.inv(plane[i]), pixel)
     seen = apply(plane[j], ground)
     near = [
-        (plane[k] @ np.column_stack([ground, np.ones(len(ground))]).T)[2]
-        < 4.0 * EXPECTED.height
+        (plane[k] @ np.column_stack([ground, np.ones(len(ground))]).T)[2] < 4.0 * EXPECTED.height
         for k in (i, j)
     ]
     front = (np.column_stack([ground, np.ones(len(ground))]) @ plane[j][2]) > 0.1

@@ -192,9 +192,7 @@ def linearise(
                 for q in range(2):
                     coupling[k, p, q] = w * (jc[a, 0, p] * jp[0, q] + jc[a, 1, p] * jp[1, q])
                 for q in range(6):
-                    blocks[own, p, q] += w * (
-                        jc[a, 0, p] * jc[a, 0, q] + jc[a, 1, p] * jc[a, 1, q]
-                    )
+                    blocks[own, p, q] += w * (jc[a, 0, p] * jc[a, 0, q] + jc[a, 1, p] * jc[a, 1, q])
             pair += count - a
         determinant = v00 * v11 - v01 * v01
         i00, i01, i11 = 0.0, 0.0, 0.0

@@ -16,6 +16,9 @@ Index = NDArray[np.int64]
 PANEL = 32
 """Columns that are eliminated before the rest of the matrix is updated in one product."""
 
+ROWS = 96
+"""Rows of that product at a time: its upper half is not needed."""
+
 
 @kernel
 def eliminate(matrix: Float, count: int) -> bool:
@@ -25,24 +28,33 @@ def eliminate(matrix: Float, count: int) -> bool:
     matrix is not positive definite.
     """
     width = len(matrix)
+    column = np.empty(PANEL)
     for begin in range(0, count, PANEL):
         end = min(begin + PANEL, count)
         for c in range(begin, end):
-            pivot = matrix[c, c]
-            for m in range(begin, c):
-                pivot -= matrix[c, m] * matrix[c, m]
-            if not pivot > 0.0:
+            if not matrix[c, c] > 0.0:
                 return False
-            pivot = np.sqrt(pivot)
+            pivot = np.sqrt(matrix[c, c])
+            for r in range(c, end):
+                matrix[r, c] /= pivot
+                column[r - begin] = matrix[r, c]
             matrix[c, c] = pivot
-            for r in range(c + 1, width):
+            for r in range(c + 1, end):
                 value = matrix[r, c]
-                for m in range(begin, c):
-                    value -= matrix[r, m] * matrix[c, m]
-                matrix[r, c] = value / pivot
+                for m in range(c + 1, r + 1):
+                    matrix[r, m] -= value * column[m - begin]
+            for r in range(end, width):
+                matrix[r, c] /= pivot
+                value = matrix[r, c]
+                for m in range(c + 1, end):
+                    matrix[r, m] -= value * column[m - begin]
         if end < width:
             panel = matrix[end:, begin:end].copy()
-            matrix[end:, end:] -= np.dot(panel, panel.T)
+            for r in range(0, width - end, ROWS):
+                last = min(r + ROWS, width - end)
+                matrix[end + r : end + last, end : end + last] -= np.dot(
+                    panel[r:last], panel[:last].T
+                )
     return True
 
 

@@ -18,8 +18,7 @@ Mask = NDArray[np.bool_]
 
 @kernel
 def ground_from_pixel(tilt: float, roll: float, height: float, inverse_k: Float) -> Float:
-    """Homography (3, 3) from pixels to the robot's ground frame; third component > 0 below the
-    horizon."""
+    """Homography (3, 3) from pixels to the robot's ground; its third component sees the horizon."""
     s, c, sr, cr = np.sin(tilt), np.cos(tilt), np.sin(roll), np.cos(roll)
     m = np.zeros((3, 3))
     m[0, 0], m[0, 1], m[0, 2] = -s * sr * height, -s * cr * height, c * height
@@ -63,12 +62,8 @@ def place_pair(
         v = ground_j[2, 0] * q[k, 0] + ground_j[2, 1] * q[k, 1] + ground_j[2, 2]
         if w > 1e-12 and v > 1e-12:
             for r in range(2):
-                a[n, r] = (
-                    ground_i[r, 0] * p[k, 0] + ground_i[r, 1] * p[k, 1] + ground_i[r, 2]
-                ) / w
-                b[n, r] = (
-                    ground_j[r, 0] * q[k, 0] + ground_j[r, 1] * q[k, 1] + ground_j[r, 2]
-                ) / v
+                a[n, r] = (ground_i[r, 0] * p[k, 0] + ground_i[r, 1] * p[k, 1] + ground_i[r, 2]) / w
+                b[n, r] = (ground_j[r, 0] * q[k, 0] + ground_j[r, 1] * q[k, 1] + ground_j[r, 2]) / v
             n += 1
     out = np.full(7, np.nan)
     if n < max(3, len(p) // 2):
@@ -329,7 +324,9 @@ def _carry(pose: Float, centre_here: Float, centre_there: Float, turn: float) ->
 
 
 @kernel
-def _apart(a: Float, b: Float, centre_i: Float, centre_j: Float, turn: float, radius: float) -> float:
+def _apart(
+    a: Float, b: Float, centre_i: Float, centre_j: Float, turn: float, radius: float
+) -> float:
     """Squared disagreement of a link between poses a of image i and b of image j."""
     c, s, d, t = np.cos(a[2]), np.sin(a[2]), np.cos(b[2]), np.sin(b[2])
     x = a[0] + c * centre_i[0] - s * centre_i[1] - b[0] - d * centre_j[0] + t * centre_j[1]

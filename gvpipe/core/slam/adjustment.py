@@ -24,8 +24,12 @@ vanish beside the data."""
 ROUNDS = 8
 """Re-estimations of the variances at most; they settle in three to five."""
 
-FIRST_STEPS, ROUND_STEPS, STEPS = 3, 2, 10
-"""Levenberg-Marquardt steps at most: at first, between two estimates of the variances, at last."""
+STEPS = 10
+"""Levenberg-Marquardt steps of an adjustment, at most."""
+
+FIRST_GAIN, ROUND_GAIN, LAST_GAIN = 0.02, 5e-3, 1e-5
+"""Shares of the cost below which a step's gain ends an adjustment: when only wrong links are to be
+found, when variances are to be judged, and at last."""
 
 SETTLED = 0.05
 """The variances have settled when none changes by more than this share."""
@@ -105,9 +109,9 @@ def begin(
 
 def approach(problem: Problem, start: Adjusted) -> Adjusted:
     """Bring cameras near to their places when only rough ones are known, see :func:`begin`."""
-    state = problem.minimise(start.state, start.spread, FIRST_LOSS_PX, 1.0, FIRST_STEPS)
+    state = problem.minimise(start.state, start.spread, FIRST_LOSS_PX, 1.0, STEPS, FIRST_GAIN)
     loss_px, noise_px = _noise(problem, state)
-    state = problem.minimise(state, start.spread, loss_px, noise_px, FIRST_STEPS)
+    state = problem.minimise(state, start.spread, loss_px, noise_px, STEPS, FIRST_GAIN)
     return replace(start, state=state, loss_px=loss_px, noise_px=noise_px)
 
 
@@ -135,7 +139,7 @@ def adjust(problem: Problem, start: Adjusted, height_sigma: float | None) -> Adj
     state, spread = start.state, start.spread
     loss_px, noise_px = start.loss_px, start.noise_px
     for _ in range(ROUNDS):
-        state = problem.minimise(state, spread, loss_px, noise_px, ROUND_STEPS)
+        state = problem.minimise(state, spread, loss_px, noise_px, STEPS, ROUND_GAIN)
         state = rescaled(state, spread)
         variance = _variances(problem, state, spread, loss_px, noise_px)
         tighter = _within(problem.rig, state, spread, variance, height_sigma)
@@ -144,7 +148,7 @@ def adjust(problem: Problem, start: Adjusted, height_sigma: float | None) -> Adj
         spread, noise_px = tighter, new_noise_px
         if change.max() < SETTLED:
             break
-    state = problem.minimise(state, spread, loss_px, noise_px, STEPS)
+    state = problem.minimise(state, spread, loss_px, noise_px, STEPS, LAST_GAIN)
     state = rescaled(state, spread)
     return Adjusted(state, spread, loss_px, noise_px)
 
@@ -170,7 +174,9 @@ def fixed_by(adjusted: Adjusted, problem: Problem, control: Control) -> tuple[Ad
     mean[:, 2] = UNKNOWN_SCALE
     spread = replace(adjusted.spread, mean=mean)
     state = placed_by(control, problem.rig, adjusted.state)
-    state = problem.minimise(state, spread, adjusted.loss_px, adjusted.noise_px, 3 * STEPS)
+    state = problem.minimise(
+        state, spread, adjusted.loss_px, adjusted.noise_px, 3 * STEPS, LAST_GAIN
+    )
     return replace(adjusted, state=state, spread=spread), problem
 
 

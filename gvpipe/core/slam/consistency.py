@@ -119,7 +119,9 @@ def grow(links: Placements, count: int) -> tuple[Float, Index]:
         Connected part of each image.
     """
     ends = np.concatenate([links.i, links.j])
-    order = np.argsort(np.concatenate([2 * np.arange(len(links.i)), 1 + 2 * np.arange(len(links.i))]))
+    order = np.argsort(
+        np.concatenate([2 * np.arange(len(links.i)), 1 + 2 * np.arange(len(links.i))])
+    )
     order = order[np.argsort(ends[order], kind="stable")]
     planar, component = grow_map(
         links.i,
@@ -188,7 +190,7 @@ def _seen(links: Placements, planar: Float) -> Float:
 
 
 def _change(radius: Float, heading: Float, centre: Float) -> Float:
-    """Derivatives (E, 3, 3) of :func:`disagreements` by the pose of image i."""
+    """Differentiate :func:`disagreements` by the pose of image i, (E, 3, 3)."""
     out = np.zeros((len(radius), 3, 3))
     out[:, 0, 0] = out[:, 1, 1] = 1.0
     out[:, :2, 2] = turned(heading + np.pi / 2, centre)

@@ -212,9 +212,7 @@ def _split(
         if len(cut) <= MAX_CUT * len(members):
             side[cut] = 2
             own = cut
-            parts = [
-                (members[side[members] == s], (side[i] == s) & (side[j] == s)) for s in (0, 1)
-            ]
+            parts = [(members[side[members] == s], (side[i] == s) & (side[j] == s)) for s in (0, 1)]
             children = [
                 _split(part, i[inside], j[inside], where, side, out) for part, inside in parts
             ]

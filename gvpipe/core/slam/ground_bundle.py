@@ -6,14 +6,11 @@ import numpy as np
 
 from gvpipe.core.kernels import bundle as kernels
 from gvpipe.core.slam.control import Control
-from gvpipe.core.slam.fronts import Blocks, Dissection
+from gvpipe.core.slam.fronts import Dissection
 from gvpipe.core.slam.normal import Normal
 from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, prior_cost, prior_normal
 from gvpipe.core.slam.tracks import Index, Tracks
 from gvpipe.core.types import Float
-
-RELATIVE_GAIN = 1e-6
-"""The adjustment stops when a step lowers the cost by less than this share."""
 
 FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8
@@ -96,9 +93,15 @@ class Problem:
         return float(data + known + prior_cost(self.rig, state, spread))
 
     def minimise(
-        self, state: State, spread: Spread, loss_px: float, noise_px: float, steps: int
+        self,
+        state: State,
+        spread: Spread,
+        loss_px: float,
+        noise_px: float,
+        steps: int,
+        gain: float,
     ) -> State:
-        """Levenberg-Marquardt from `state`, at most `steps` steps."""
+        """Levenberg-Marquardt until a step lowers the cost by a share below `gain`."""
         damping = FIRST_DAMPING
         cost = self.cost(state, spread, loss_px, noise_px)
         for _ in range(steps):
@@ -118,7 +121,7 @@ class Problem:
                     damping /= 10.0
                     break
                 damping *= 10.0
-            if gained <= RELATIVE_GAIN * cost:
+            if gained <= gain * cost:
                 break
         return state
 

@@ -17,7 +17,7 @@ from gvpipe.core.types import Camera, Float, Mount
 MIN_POINTS = 8
 """Matches below which a link is not used: four fix a homography, the rest must confirm it."""
 
-SAMPLE_POINTS = 50
+SAMPLE_POINTS = 40
 SAMPLE_LINKS = 40
 """Matches of a link that are fitted, and links of a robot that the search for its tilt looks at:
 spread over the picture, more of them change nothing at this stage."""
@@ -126,10 +126,9 @@ def place_all(
 
     Columns are those of :class:`Placement`; NaN where the matches do not lie on the ground.
     """
-    inverse = [np.linalg.inv(camera.matrix) for camera in cameras]
+    inverse = [np.linalg.inv(camera.matrix).astype(np.float64) for camera in cameras]
     ground = [
-        ground_from_pixel(m.tilt, m.roll, m.height, k)
-        for m, k in zip(mounts, inverse, strict=True)
+        ground_from_pixel(m.tilt, m.roll, m.height, k) for m, k in zip(mounts, inverse, strict=True)
     ]
     return np.asarray(
         place_links(
@@ -189,10 +188,7 @@ def _verdicts(
         elif not np.isfinite(placed[k, 0]):
             why = "its matches do not lie on the ground before both cameras"
         elif not error_px[k] <= MAX_FIT_PX:
-            why = (
-                "not a motion over the ground: its matches miss by "
-                f"{error_px[k]:.1f} px (median)"
-            )
+            why = f"not a motion over the ground: its matches miss by {error_px[k]:.1f} px (median)"
         elif drift[k] > MAX_DRIFT or abs(fits[k, 3]) > MAX_LOG_SCALE:
             why = (
                 "not a motion over the ground: it asks for a camera "

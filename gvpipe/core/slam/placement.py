@@ -51,14 +51,15 @@ def place(
     placement : Placement or None
         Reweighted least squares; None if fewer than three matches lie below both horizons.
     """
-    ground = [
-        ground_from_pixel(m.tilt, m.roll, m.height, np.linalg.inv(c.matrix))
+    ground_i, ground_j = (
+        ground_from_pixel(m.tilt, m.roll, m.height, np.linalg.inv(c.matrix).astype(np.float64))
         for c, m in zip(cameras, mounts, strict=True)
-    ]
+    )
     found = place_pair(
         np.ascontiguousarray(points_i, dtype=np.float64),
         np.ascontiguousarray(points_j, dtype=np.float64),
-        *ground,
+        ground_i,
+        ground_j,
         mounts[0].height,
         REWEIGHTINGS,
     )

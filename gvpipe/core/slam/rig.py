@@ -204,7 +204,7 @@ def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[Blocks, Float]
     for k in range(3):
         diagonal[:, 3 + k, 3 + k] = weight[:, k]
         border[np.arange(n), 3 + k, 3 * rig.group + k] = -weight[:, k]
-    np.add.at(diagonal, (anchor, 5, 5), anchor_weight)
+    diagonal[anchor, 5, 5] += anchor_weight  # each robot has its own anchor
     corner = np.diag((of_group + mean_weight).ravel())
     total = np.concatenate([gradient.ravel(), (mean_weight * state.means - lean).ravel()])
     return Blocks(diagonal, np.empty((0, 6, 6)), border, corner), total
