@@ -3,13 +3,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from gvpipe.core.geometry.homography import apply
+from gvpipe.core.geometry.homography import apply, fit_linear, transfer_errors
 from gvpipe.core.geometry.pose import robot_from_camera, rotation_vector
+from gvpipe.core.slam.adjustment import adjust, approach, begin
 from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
+from gvpipe.core.slam.links import matches_of
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
 from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled
-from gvpipe.core.slam.tracks import chain_matches
+from gvpipe.core.slam.tracks import cell_tracks, chain_matches
 from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
 
@@ -157,6 +159,48 @@ def test_the_covariance_is_honest() -> None:
         squares += [e @ np.linalg.solve(c, e) for e, c in zip(found, covariances, strict=True)]
     low, high = chi2.ppf([0.001, 0.999], 6 * runs) / (6 * runs)
     assert ((low < squares / (6 * runs)) & (squares / (6 * runs) < high)).all(), squares
+
+
+def test_many_pictures_of_a_robot_are_not_taken_by_hand() -> None:
+    # the shared uncertainty of the scale must not pass for scatter of the single heights
+    scene = make_scene({"A": arc_path(60)}, np.random.default_rng(10), density=15.0)
+    index = {image: k for k, image in enumerate(scene.order)}
+    pairs = [(index[x.image_i], index[x.image_j]) for x in scene.links]
+    tracks = chain_matches(pairs, [(x.points_i, x.points_j) for x in scene.links])
+    mounts = [scene.mounts[image] for image in scene.order]
+    rig = Rig(
+        matrix=np.stack([scene.cameras[image].matrix for image in scene.order]),
+        robot_from_camera=np.stack([robot_from_camera(m).rotation for m in mounts]),
+        height=np.array([m.height for m in mounts]),
+        group=np.zeros(len(mounts), dtype=np.int64),
+    )
+    problem = Problem(rig, tracks, 0)
+    cameras = np.column_stack([arc_path(60), np.zeros((60, 3))])
+    sigma = np.array([[0.05, 0.05, 0.005]])
+    start = approach(problem, begin(problem, cameras, sigma, None))
+    adjusted = adjust(problem, start, None)
+    assert adjusted.spread.within[0, 2] == pytest.approx(0.002, rel=0.4)
+    assert adjusted.spread.anchor[0] == -1
+
+
+def test_cells_of_matches_say_what_the_matches_say() -> None:
+    rng = np.random.default_rng(11)
+    scene = make_scene({"A": arc_path(2)}, rng, density=300.0, wrong_matches=0.02)
+    [link] = scene.links
+    ends, matches = np.array([[1, 0]]), matches_of([link])
+    tracks = cell_tracks(ends, matches, link.homography[None])
+    assert len(tracks.weight) <= 16
+    assert (tracks.camera.reshape(-1, 2) == [0, 1]).all()
+    good = transfer_errors(link.homography, link.points_i, link.points_j) < 3.0
+    assert tracks.weight.sum() == pytest.approx(good.sum(), rel=0.05)
+    q, p = tracks.pixel.reshape(-1, 2, 2).transpose(1, 0, 2)
+    whole = fit_linear(link.points_i[good], link.points_j[good])
+    few = fit_linear(p, q, np.sqrt(tracks.weight))
+    assert whole is not None
+    assert few is not None
+    corners = np.array([link.points_i.min(axis=0), link.points_i.max(axis=0)])
+    # four degrees of freedom fewer than matches: the fits differ by less than their own noise
+    np.testing.assert_allclose(apply(few, corners), apply(whole, corners), atol=0.4)
 
 
 def test_heights_taken_by_hand_are_scaled_by_the_first_picture() -> None:

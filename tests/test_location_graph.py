@@ -79,6 +79,21 @@ def test_wrong_links_are_found_out(patrol: Scene, seed: int) -> None:
     assert rms_m(errors(result, truth)) == pytest.approx(before, rel=0.2)
 
 
+def test_maps_of_many_matches_are_as_good(patrol: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    # each link alone: with corners that many links share, summing up forgets that they are shared
+    truth = true_map(patrol, "A/0000.jpg")
+    alone = replace(patrol, links=[x for x in patrol.links if x.kind == "loop" or near(x)])
+    whole = rms_m(errors(mapped(alone), truth))
+    monkeypatch.setattr("gvpipe.core.slam.map_part.MANY_MATCHES", 0)
+    summed = rms_m(errors(mapped(alone), truth))
+    assert summed < 1.5 * whole + 1e-3
+
+
+def near(link: Link) -> bool:
+    """Whether a link's pictures follow each other."""
+    return int(link.image_j[2:6]) - int(link.image_i[2:6]) == 1
+
+
 def test_matches_of_anything_but_the_ground_are_refused(patrol: Scene) -> None:
     rng = np.random.default_rng(5)
     link = patrol.links[0]

@@ -17,7 +17,7 @@ from gvpipe.core.types import Float
 
 Index = NDArray[np.int64]
 
-LEAF = 4
+LEAF = 6
 """Places that are eliminated at once instead of being split further."""
 
 MAX_CUT = 0.4
@@ -202,13 +202,8 @@ def _split(
     children: list[int] = []
     own = members
     if len(members) > LEAF:
-        axis = int(np.argmax(np.ptp(where[members], axis=0)))
-        along = members[np.argsort(where[members, axis], kind="stable")]
-        side[along] = np.arange(len(along)) >= len(along) // 2
-        crossing = side[i] != side[j]
-        low = np.unique(np.where(side[i] == 0, i, j)[crossing])
-        high = np.unique(np.where(side[i] == 0, j, i)[crossing])
-        cut = low if len(low) <= len(high) else high
+        across = [_halved(members, i, j, where[:, axis], side) for axis in (0, 1)]
+        cut = _halved(members, i, j, where[:, int(len(across[1]) < len(across[0]))], side)
         if len(cut) <= MAX_CUT * len(members):
             side[cut] = 2
             own = cut
@@ -218,6 +213,16 @@ def _split(
             ]
     out.append((np.sort(own), children))
     return len(out) - 1
+
+
+def _halved(members: Index, i: Index, j: Index, along: Float, side: Index) -> Index:
+    """Put half of the members on either side; return the fewer ends of links that cross."""
+    order = members[np.argsort(along[members], kind="stable")]
+    side[order] = np.arange(len(order)) >= len(order) // 2
+    crossing = side[i] != side[j]
+    low = np.unique(np.where(side[i] == 0, i, j)[crossing])
+    high = np.unique(np.where(side[i] == 0, j, i)[crossing])
+    return low if len(low) <= len(high) else high
 
 
 @dataclass(frozen=True)
@@ -270,10 +275,10 @@ class Factor:
             tree.flipped,
             tree.factor_first,
             tree.stack_size,
-            blocks.diagonal,
-            blocks.between,
-            blocks.border,
-            blocks.corner,
+            np.ascontiguousarray(blocks.diagonal),
+            np.ascontiguousarray(blocks.between),
+            np.ascontiguousarray(blocks.border),
+            np.ascontiguousarray(blocks.corner),
         )
         if not definite:
             raise np.linalg.LinAlgError("the matrix is not positive definite")

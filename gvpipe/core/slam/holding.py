@@ -17,7 +17,7 @@ from gvpipe.core.types import Camera, Float, Mount
 MIN_POINTS = 8
 """Matches below which a link is not used: four fix a homography, the rest must confirm it."""
 
-SAMPLE_POINTS = 40
+SAMPLE_POINTS = 32
 SAMPLE_LINKS = 40
 """Matches of a link that are fitted, and links of a robot that the search for its tilt looks at:
 spread over the picture, more of them change nothing at this stage."""
