@@ -166,8 +166,10 @@ def _sparse(ground: SeenGround, poses: dict[str, Pose], dataset: Dataset) -> Spa
     number = {image: k for k, image in enumerate(poses)}
     tracks, point = ground.tracks, ground.tracks.point
     pixel, error = np.empty_like(tracks.pixel), np.empty(len(tracks.pixel))
+    by_camera = np.argsort(tracks.camera, kind="stable")
+    first = np.searchsorted(tracks.camera[by_camera], np.arange(len(ground.images) + 1))
     for k, image in enumerate(ground.images):
-        seen = tracks.camera == k
+        seen = by_camera[first[k] : first[k + 1]]
         entry = dataset.entry(image)
         expected = apply(pixel_from_plane(entry.camera, poses[image]), ground.points[point[seen]])
         error[seen] = np.linalg.norm(expected - tracks.pixel[seen], axis=1)

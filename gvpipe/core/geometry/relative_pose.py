@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.geometry.homography import apply
-from gvpipe.core.geometry.pose import mount_of, robot_from_camera, rotation_matrix
+from gvpipe.core.geometry.pose import mount_of, robot_from_camera
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 _Y_UP = np.diag([1.0, -1.0, 1.0])
@@ -277,22 +276,21 @@ def motion_covariance(
     homography, so the inverse normal matrix scaled by the residual variance is the
     least-squares covariance to first order.
     """
-    inverse_i = np.linalg.inv(camera_i.matrix)
     side = np.linalg.svd(relative.normal[None])[2][1:]
-
-    def project(parameters: Float) -> Float:
-        rotation = rotation_matrix(parameters[:3]) @ relative.j_from_i.rotation
-        translation = relative.j_from_i.translation + parameters[3:6]
-        normal = relative.normal + parameters[6:] @ side
-        normal = normal / np.linalg.norm(normal)
-        motion = rotation + np.outer(translation, normal) / height
-        return apply(camera_j.matrix @ motion @ inverse_i, points_i).ravel()
-
-    step = 1e-6
-    jacobian = np.column_stack(
-        [(project(step * e) - project(-step * e)) / (2 * step) for e in np.eye(8)]
-    )
-    residuals = project(np.zeros(8)) - np.asarray(points_j, np.float64).ravel()
+    rotation, translation = relative.j_from_i.rotation, relative.j_from_i.translation
+    ray = np.column_stack([points_i, np.ones(len(points_i))]) @ np.linalg.inv(camera_i.matrix).T
+    turned = ray @ rotation.T
+    below = ray @ relative.normal / height
+    # changes of the rays in camera j by each parameter, (8, N, 3)
+    by_turn = np.cross(np.eye(3)[:, None], turned[None])
+    by_shift = np.eye(3)[:, None] * below[:, None]
+    by_normal = (ray @ side.T / height).T[:, :, None] * translation
+    change = np.concatenate([by_turn, by_shift, by_normal]) @ camera_j.matrix.T
+    image = (turned + below[:, None] * translation) @ camera_j.matrix.T
+    pixel = image[:, :2] / image[:, 2:]
+    moved = (change[:, :, :2] - pixel * change[:, :, 2:]) / image[:, 2:]
+    jacobian = moved.reshape(8, -1).T
+    residuals = (pixel - points_j).ravel()
     variance = float(residuals @ residuals) / max(residuals.size - 8, 1)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
     scaled = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale))
