@@ -134,6 +134,25 @@ def test_images_can_be_missing(patrol: Scene) -> None:
     assert rms_m(errors(result, true_map(scene, "A/0000.jpg"))) < 0.005
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sixth_of_the_images_hardly_matters(seed: int) -> None:
+    # scale apart: the heights of fewer pictures say less about their mean
+    full = make_scene({"A": loop_path(24)}, np.random.default_rng(seed), bounce=0.0, max_gap=3)
+    rng = np.random.default_rng(seed)
+    gone = set(rng.choice(full.order[1:], 4, replace=False).tolist())
+    left = Scene(
+        cameras=full.cameras,
+        mounts=full.mounts,
+        poses={image: pose for image, pose in full.poses.items() if image not in gone},
+        links=[x for x in full.links if not {x.image_i, x.image_j} & gone],
+    )
+    truth = true_map(full, "A/0000.jpg")
+    result, whole = mapped(left), mapped(full)
+    assert len(result.components) == 1
+    same = replace(whole, poses={x: p for x, p in whole.poses.items() if x not in gone})
+    assert rms_m(errors(result, truth)) < 1.2 * rms_m(errors(same, truth)) + 5e-4
+
+
 def test_an_unknown_tilt_is_found(patrol: Scene) -> None:
     guess = Mount(tilt=np.radians(60.0), roll=0.0, height=0.6, tilt_known=False)
     scene = replace(patrol, mounts=dict.fromkeys(patrol.order, guess))
