@@ -1,6 +1,7 @@
 """Artefact files: canonical, checked, whole or not at all."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,17 @@ def test_broken_json_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"match\.json"):
         read_artefact(path.parent, MatchBody)
+
+
+@pytest.mark.parametrize("name", ["match.json", "match.npz"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    folder = written(tmp_path)
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with pytest.raises(InputError, match=name):
+        read_artefact(folder, MatchBody)
+    with pytest.raises(InputError, match=name):
+        read_npz(folder / name)
 
 
 def test_changed_side_files_are_noticed(tmp_path: Path) -> None:

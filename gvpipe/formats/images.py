@@ -61,7 +61,9 @@ class DecodedImage:
 
 
 @dataclass(frozen=True)
-class _Header:
+class Header:
+    """What an image file says of itself."""
+
     format: str
     mode: str
     width: int
@@ -88,7 +90,7 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
         return raw
     if not raw:
         return Rejected("is empty")
-    header = _read_header(raw, max_pixels)
+    header = read_header(raw, max_pixels)
     if isinstance(header, Rejected):
         return header
     if not _is_whole(raw, header.format):
@@ -122,8 +124,8 @@ def is_image_file(path: Path) -> bool:
     return raw.startswith(magic) or (raw[:4] == b"RIFF" and raw[8:12] == b"WEBP")
 
 
-def _read_header(raw: bytes, max_pixels: int) -> _Header | Rejected:
-    """Size, kind and orientation of an image, without decoding it."""
+def read_header(raw: bytes, max_pixels: int = MAX_PIXELS) -> Header | Rejected:
+    """Read size, kind and orientation of an image, without decoding it."""
     from PIL import Image as Pillow
 
     if raw[4:8] == b"ftyp" and raw[8:12] in (b"heic", b"heix", b"mif1", b"avif", b"hevc"):
@@ -145,7 +147,7 @@ def _read_header(raw: bytes, max_pixels: int) -> _Header | Rejected:
         return Rejected(f"is a TIFF with {image.mode} pixels; expected 8 or 16 bits of grey or RGB")
     if kind == "TIFF" and orientation not in (None, 1):
         return Rejected(f"is a TIFF with orientation tag {orientation}, which decoders apply")
-    return _Header(kind, image.mode, width, height, orientation)
+    return Header(kind, image.mode, width, height, orientation)
 
 
 def _is_whole(raw: bytes, kind: str) -> bool:
