@@ -88,8 +88,6 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
     raw = read_regular_file(path, MAX_FILE_BYTES)
     if isinstance(raw, Rejected):
         return raw
-    if not raw:
-        return Rejected("is empty")
     header = read_header(raw, max_pixels)
     if isinstance(header, Rejected):
         return header
@@ -128,6 +126,8 @@ def read_header(raw: bytes, max_pixels: int = MAX_PIXELS) -> Header | Rejected:
     """Read size, kind and orientation of an image, without decoding it."""
     from PIL import Image as Pillow
 
+    if not raw:
+        return Rejected("is empty")
     if raw[4:8] == b"ftyp" and raw[8:12] in (b"heic", b"heix", b"mif1", b"avif", b"hevc"):
         return Rejected("is HEIC or AVIF, which is not read; convert it to JPEG or PNG")
     with _HEADER_LOCK, warnings.catch_warnings():
