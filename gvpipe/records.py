@@ -154,6 +154,13 @@ class LocalizeBody(Body):
     motions: tuple[MotionRow, ...]
 
 
+class UnregisteredRow(Record):
+    """An image that could not be used or is on no map, and why."""
+
+    image: str
+    reason: str
+
+
 class CandidateRow(Record):
     """One candidate overlap between two robots."""
 
@@ -179,6 +186,7 @@ class OverlapBody(Body):
     stage: ClassVar[str] = "overlap"
     file: ClassVar[str] = "overlap.json"
     overlaps: tuple[OverlapRow, ...]
+    left_out: tuple[UnregisteredRow, ...] = ()
 
 
 class PoseRow(Record):
@@ -205,13 +213,6 @@ class EdgeRow(Record):
     image_j: str
     kind: Literal["odometry", "loop", "overlap"]
     residual_m: float
-
-
-class UnregisteredRow(Record):
-    """An image that is on no map, and why."""
-
-    image: str
-    reason: str
 
 
 class RejectedEdgeRow(Record):

@@ -13,8 +13,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from hypothesis import strategies as st
 
 import gvpipe
 from gvpipe import checkpoint, output
+from gvpipe.artefacts import read_artefact
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.cli import run
 from gvpipe.configfile import load_config
@@ -31,6 +33,8 @@ from gvpipe.core.types import Mount
 from gvpipe.dataset import open_dataset
 from gvpipe.errors import UsageError
 from gvpipe.memory import PROCESS_BYTES, jobs_within, parse_size
+from gvpipe.parallel import Crashed, Workers
+from gvpipe.records import MatchBody, OverlapBody
 from gvpipe.report import Reporter
 from tests.faults.broken import add_broken_images
 from tests.faults.fulldisk import small_disk, trial
@@ -100,6 +104,31 @@ def test_killed_runs_leave_nothing_partial_and_lose_nothing(small: Path, tmp_pat
     figures = kill_and_resume(target, "match", 2, random.Random(5))
     assert not figures.problems
     assert figures.resumed == 1
+
+
+def test_what_kills_its_worker_twice_is_recorded(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    undisturbed = Workers.map
+
+    def deadly(self: Workers[Any], function: Any, items: Sequence[Any]) -> Iterator[Any]:
+        for item in items:
+            dies = item == "B/2.png" or getattr(item, "image_j", "") == "A/1.png"
+            yield Crashed(item) if dies else next(undisturbed(self, function, [item]))
+
+    monkeypatch.setattr(Workers, "map", deadly)
+    for stage in ("match", "overlap"):
+        assert run([stage, str(small), "--out", str(tmp_path), "-q", "--jobs", "1"]) == 0
+    had = read_artefact(reference(small) / "match", MatchBody).body.pairs
+    have = read_artefact(tmp_path / "match", MatchBody).body.pairs
+    reasons = [row.reason for row in have]
+    assert reasons[0] == "the worker process died twice on this pair"
+    assert reasons[3] == "the worker process died twice on B/2.png"
+    assert [row.model_dump_json() for row in have[1:3]] == [r.model_dump_json() for r in had[1:3]]
+    overlap = read_artefact(tmp_path / "overlap", OverlapBody)
+    assert [row.image for row in overlap.body.left_out] == ["B/2.png"]
+    assert "B/2.png" not in overlap.arrays("overlap.npz")["image_ids"]
+    assert any(row.validated for row in overlap.body.overlaps[0].candidates)
 
 
 SUPERVISED = """
