@@ -210,6 +210,19 @@ def test_a_read_only_folder_is_named(small: Path, tmp_path: Path, capsys) -> Non
         assert str(out) in capsys.readouterr().err
 
 
+def test_a_folder_without_permission_is_named(small: Path, tmp_path: Path) -> None:
+    sealed = tmp_path / "sealed"
+    sealed.mkdir(mode=0o555)
+    command = [sys.executable, "-m", "gvpipe", "match", str(small), "--out", str(sealed / "new")]
+    if os.geteuid() == 0:  # permissions bind root only without this power
+        if shutil.which("setpriv") is None:
+            pytest.skip("needs setpriv")
+        command = ["setpriv", "--bounding-set=-dac_override", *command]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 6
+    assert ended.stderr == f"gvpipe: {sealed / 'new'}: cannot be written: Permission denied\n"
+
+
 def test_a_failing_disk_leaves_the_old_artefact(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
