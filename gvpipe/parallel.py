@@ -157,8 +157,8 @@ class Workers(Generic[S]):
         if pool is None:
             return
         processes = list((pool._processes or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.kill()  # workers hold nothing that would need their cleaning up
+        pool.shutdown(wait=True, cancel_futures=True)  # or its thread races the interpreter's end
         for process in processes:
             process.join()

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,10 @@ def test_a_worker_that_dies_once_costs_nothing(tmp_path: Path) -> None:
 def test_errors_of_the_function_reach_the_caller() -> None:
     with Workers(0, 2) as workers, pytest.raises(ValueError, match="item 0"):
         list(workers.map(fail, range(4)))
+
+
+def test_nothing_runs_on_after_the_work() -> None:
+    before = set(threading.enumerate())
+    with Workers(10, 2) as workers:
+        assert next(workers.map(add, range(20))) == 10
+    assert set(threading.enumerate()) <= before
