@@ -180,6 +180,22 @@ JSON = st.recursive(
 )
 
 
+def test_no_flipped_bit_of_an_npz_is_a_defect(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_npz(path, {"points": np.arange(40.0).reshape(20, 2), "names": np.array(["a", "b"])})
+    sound = path.read_bytes()
+    refused = 0
+    for at in range(len(sound)):
+        damaged = bytearray(sound)
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        try:
+            read_npz(path)
+        except InputError:
+            refused += 1
+    assert refused > len(sound) // 2
+
+
 @given(JSON)
 def test_canonical_json_is_json(value: object) -> None:
     assert json.loads(canonical_json(value)) == value

@@ -10,7 +10,6 @@ import hashlib
 import io
 import threading
 import warnings
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from gvpipe.core.types import Image, Rejected
 from gvpipe.formats.files import read_regular_file
+from gvpipe.formats.raster import png_is_whole
 
 MAX_FILE_BYTES = 256 << 20
 """Largest file read."""
@@ -157,7 +157,7 @@ def _is_whole(raw: bytes, kind: str) -> bool:
     damaged JPEG and TIFF data; Pillow refuses those, but takes a PNG without its end.
     """
     if kind == "PNG":
-        return _png_is_whole(raw)
+        return png_is_whole(raw)
     if kind not in ("JPEG", "TIFF"):
         return True
     from PIL import Image as Pillow
@@ -169,23 +169,6 @@ def _is_whole(raw: bytes, kind: str) -> bool:
     except Exception:  # a parser of hostile bytes may raise anything
         return False
     return True
-
-
-def _png_is_whole(raw: bytes) -> bool:
-    """Whether a PNG's chunks follow each other, each with its checksum, up to the last."""
-    at = 8
-    while at + 12 <= len(raw):
-        length = int.from_bytes(raw[at : at + 4], "big")
-        end = at + 12 + length
-        if end > len(raw):
-            return False
-        checksum = int.from_bytes(raw[end - 4 : end], "big")
-        if zlib.crc32(memoryview(raw)[at + 4 : end - 4]) != checksum:
-            return False
-        if raw[at + 4 : at + 8] == b"IEND":
-            return True
-        at = end
-    return False
 
 
 def _orientation(image: object) -> int | None:

@@ -26,7 +26,6 @@ from gvpipe.formats.raster import png_bytes
 from gvpipe.pairing import match_pairs, options_from
 from gvpipe.parallel import Crashed, Workers
 from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow, UnregisteredRow
-from gvpipe.report import log
 from gvpipe.stages.contract import Context, Outcome
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "seed")
@@ -129,6 +128,7 @@ def run(context: Context) -> Outcome[OverlapBody, Findings]:
         )
         for row in overlaps
     )
+    summary += tuple(("left out", f"{row.image}: {row.reason}") for row in left_out)
     body = OverlapBody(overlaps=tuple(overlaps), left_out=left_out)
     return Outcome(body, Findings(arrays, figures), summary=summary)
 
@@ -152,7 +152,6 @@ def _describe(context: Context) -> tuple[dict[str, _Look], tuple[UnregisteredRow
         for image, look in zip(images, workers.map(_look, images), strict=True):
             if isinstance(look, Crashed):
                 left_out.append(UnregisteredRow(image=image, reason=DIED_TWICE))
-                log.warning("left out %s: %s", image, DIED_TWICE)
             else:
                 looks[image] = look
             ticker.advance()
