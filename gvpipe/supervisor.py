@@ -58,8 +58,9 @@ def supervised(work: Callable[[], int]) -> int:
     for number in _SIGNALS:
         signal.signal(number, forward)
     signal.pthread_sigmask(signal.SIG_SETMASK, held)
+    os.waitid(os.P_PID, worker, os.WEXITED | os.WNOWAIT)  # its number is its own until it is reaped
+    signal.pthread_sigmask(signal.SIG_BLOCK, {*_SIGNALS, signal.SIGALRM})
     code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
-    signal.setitimer(signal.ITIMER_REAL, 0)
     return _exit_code(code, received)
 
 

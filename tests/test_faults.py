@@ -36,6 +36,7 @@ from gvpipe.memory import PROCESS_BYTES, jobs_within, parse_size
 from gvpipe.parallel import Crashed, Workers
 from gvpipe.records import MatchBody, OverlapBody
 from gvpipe.report import Reporter
+from gvpipe.supervisor import GRACE_S
 from tests.faults.broken import add_broken_images
 from tests.faults.fulldisk import small_disk, trial
 from tests.faults.fuzz import Findings, try_artefact, try_config
@@ -133,7 +134,7 @@ def test_what_kills_its_worker_twice_is_recorded(
 
 SUPERVISED = """
 import ctypes, os, signal, sys, time
-from gvpipe.supervisor import supervised
+from gvpipe import supervisor
 def deaf():
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
     print("ready", flush=True)
@@ -141,12 +142,17 @@ def deaf():
 def die(number):
     os.kill(os.getpid(), number)
     time.sleep(60)
-sys.exit(supervised(lambda: {work}))
+def obey():
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
+    print("ready", flush=True)
+    time.sleep(60)
+supervisor.GRACE_S = {grace_s}
+sys.exit(supervisor.supervised(lambda: {work}))
 """
 
 
-def supervised(work: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", SUPERVISED.format(work=work)]
+def supervised(work: str, grace_s: float = GRACE_S) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", SUPERVISED.format(work=work, grace_s=grace_s)]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True)
 
@@ -161,6 +167,17 @@ def test_a_process_that_does_not_listen_is_ended_in_time(number: int, code: int)
     assert process.wait(10) == code
     assert time.monotonic() - started < 2.0
     process.communicate()
+
+
+def test_signals_just_when_it_ends_are_harmless() -> None:
+    for _ in range(10):
+        process = supervised("obey()", grace_s=0.001)
+        assert process.stdout
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)  # it ends about when it would be killed
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=10)
+        assert (process.returncode, err) == (130, "")
 
 
 @pytest.mark.parametrize(
