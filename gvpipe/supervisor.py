@@ -117,6 +117,14 @@ def _unwind(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
+def stopping() -> bool:
+    """Whether a signal has ended the work: what fails from then on fails for that reason.
+
+    A library that is being loaded turns the exception of a signal into one of its own.
+    """
+    return signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+
+
 def _die_with(alive: int) -> None:
     """Wait until the supervising process is gone, then follow it."""
     os.read(alive, 1)

@@ -5,6 +5,7 @@ The long versions are `make faults` and `make fuzz`; what is here is bounded.
 
 import ast
 import errno
+import json
 import os
 import random
 import shutil
@@ -24,7 +25,7 @@ from hypothesis import strategies as st
 
 import gvpipe
 from gvpipe import checkpoint, output
-from gvpipe.artefacts import read_artefact
+from gvpipe.artefacts import digest, read_artefact
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.cli import run
 from gvpipe.configfile import load_config
@@ -134,7 +135,7 @@ def test_what_kills_its_worker_twice_is_recorded(
 
 SUPERVISED = """
 import ctypes, os, signal, sys, time
-from gvpipe import supervisor
+from gvpipe import cli, supervisor
 def deaf():
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
     print("ready", flush=True)
@@ -142,6 +143,15 @@ def deaf():
 def die(number):
     os.kill(os.getpid(), number)
     time.sleep(60)
+def swallow():
+    def load(*arguments, **options):
+        try:
+            print("ready", flush=True)
+            time.sleep(60)
+        except BaseException:
+            raise ImportError("initialization failed") from None
+    cli.app = load
+    return cli.run([])
 def obey():
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
     print("ready", flush=True)
@@ -167,6 +177,15 @@ def test_a_process_that_does_not_listen_is_ended_in_time(number: int, code: int)
     assert process.wait(10) == code
     assert time.monotonic() - started < 2.0
     process.communicate()
+
+
+def test_what_a_signal_breaks_is_no_defect() -> None:
+    process = supervised("swallow()")
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=10)
+    assert (process.returncode, err) == (143, "")
 
 
 def test_signals_just_when_it_ends_are_harmless() -> None:
@@ -417,6 +436,17 @@ def test_degenerate_geometry_ends_in_words(
     # what the priors on tilt and height still fix may match; without a result it says so
     assert ended == codes if codes else set(ended) <= {0, 4, 5}
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_an_artefact_that_names_no_image_is_refused(small: Path, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    shutil.copytree(reference(small) / "match", tmp_path / "match")
+    path = tmp_path / "match" / "match.json"
+    document = json.loads(path.read_bytes())
+    document["pairs"][0]["image_i"] = "A/9.png"
+    document["content_sha256"] = digest(document)
+    path.write_text(json.dumps(document))
+    assert run(["localize", str(small), "--out", str(tmp_path)]) == 4
+    assert f"{path}: 'A/9.png' is no image; `gvpipe match" in capsys.readouterr().err
 
 
 # Discretion
