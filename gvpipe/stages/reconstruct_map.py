@@ -29,7 +29,7 @@ def read_map(mosaic: Artefact[MosaicBody]) -> RosMap:
     Raises
     ------
     InputError
-        If it is damaged.
+        If it is damaged, or not what `mosaic.json` describes.
     """
     body, path = mosaic.body, mosaic.folder / "map.pgm"
     try:
@@ -40,6 +40,9 @@ def read_map(mosaic: Artefact[MosaicBody]) -> RosMap:
         raise InputError(f"{path}: not the map that mosaic.json describes")
     m = body.map_from_pixel
     raster = MosaicRaster(body.width, body.height, body.resolution, float(m[0, 2]), float(m[1, 2]))
+    if body.resolution <= 0 or not np.allclose(m, raster.map_from_pixel):
+        json_path = mosaic.folder / body.file
+        raise InputError(f"{json_path}: map_from_pixel: does not fit the resolution")
     return RosMap(cells, raster)
 
 
