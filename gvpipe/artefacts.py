@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 import shutil
 import tempfile
@@ -16,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from gvpipe.core.types import Rejected
 from gvpipe.errors import InputError
+from gvpipe.formats.files import read_regular_file
 from gvpipe.output import refuse_link, sync
 from gvpipe.records import Body, Header
 
@@ -161,14 +164,13 @@ def _load_json(path: Path) -> dict[str, Any]:
     def refuse(constant: str) -> Any:
         raise ValueError(f"{constant} is not JSON")
 
+    if not os.path.lexists(path):
+        raise InputError(f"{path}: missing")
+    raw = read_regular_file(path, MAX_JSON_BYTES)
+    if isinstance(raw, Rejected):
+        raise InputError(f"{path}: {raw.reason}")
     try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise InputError(f"{path}: larger than {MAX_JSON_BYTES} bytes")
-        document = json.loads(path.read_bytes(), parse_constant=refuse)
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
+        document = json.loads(raw, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON: {error}") from None
     if not isinstance(document, dict):
@@ -184,15 +186,16 @@ def read_npz(path: Path) -> Members:
     InputError
         If the file is missing, damaged, too large or holds Python objects.
     """
+    if not path.is_file():  # a pipe would be waited for
+        raise InputError(f"{path}: missing")
     try:
         with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MAX_NPZ_BYTES:
-                raise InputError(f"{path}: would take more than {MAX_NPZ_BYTES} bytes")
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_NPZ_BYTES:
+            raise ValueError(f"would take {size} bytes, more than {MAX_NPZ_BYTES}")
         with np.load(path, allow_pickle=False) as data:
             arrays = Members(path, {name: data[name] for name in data.files})
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing") from None
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, KeyError, MemoryError) as error:
+    except Exception as error:  # parsers of hostile bytes may raise anything
         raise InputError(f"{path}: not a valid NPZ file: {error}") from None
     for name, array in arrays.items():
         if array.dtype.kind in "fc" and not np.isfinite(array).all():

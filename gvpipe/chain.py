@@ -95,6 +95,11 @@ class Chain:
             if changed:
                 path = self.folder(stage) / body.file
                 raise InputError(f"{path}: stale, it {changed}; `{command}` makes it anew")
+            known = {entry.image_id for entry in self._dataset.entries}
+            for image in artefact.body.named_images():
+                if image not in known:
+                    path = self.folder(stage) / body.file
+                    raise InputError(f"{path}: {image!r} is no image; `{command}` makes it anew")
             log.debug("read %s", escape(str(self.folder(stage) / body.file)))
             self._loaded[stage] = artefact
         return self._loaded[stage]

@@ -12,7 +12,7 @@ from typer.core import TyperCommand
 
 from gvpipe import __version__
 from gvpipe.errors import GvpipeError, OutputError, ResourceError, UsageError
-from gvpipe.supervisor import Terminated
+from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_tools
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
@@ -238,6 +238,8 @@ def _failed(error: GvpipeError) -> int:
 
 def _defect() -> int:
     """Print the traceback of an unexpected error, without the values of variables."""
+    if stopping():
+        return EXIT_DEFECT
     import traceback
 
     from gvpipe.report import printable

@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
+from multiprocessing.reduction import ForkingPickler
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
@@ -32,11 +33,11 @@ _shared: Any = None
 """What every call in this worker process receives; set once when the process starts."""
 
 
-def _start_worker(shared: Any) -> None:
+def _start_worker(shared: bytes) -> None:
     """Prepare a worker: one thread for OpenCV, interrupts left to the parent."""
     global _shared
-    _shared = shared
     threading.Thread(target=_die_with_parent, daemon=True).start()
+    _shared = ForkingPickler.loads(shared)  # imports what takes seconds on a busy machine
     import cv2
 
     cv2.setNumThreads(1)
@@ -148,7 +149,7 @@ class Workers(Generic[S]):
             workers,
             mp_context=get_context("spawn"),
             initializer=_start_worker,
-            initargs=(self._shared,),
+            initargs=(bytes(ForkingPickler.dumps(self._shared)),),
         )
 
     def _stop(self) -> None:
@@ -157,8 +158,8 @@ class Workers(Generic[S]):
         if pool is None:
             return
         processes = list((pool._processes or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.kill()  # workers hold nothing that would need their cleaning up
+        pool.shutdown(wait=True, cancel_futures=True)  # or its thread races the interpreter's end
         for process in processes:
             process.join()

@@ -4,7 +4,7 @@ Angles are in degrees and lengths in metres, as the files have them. Arrays are 
 and finiteness when a record is made, so a file that lies is refused where it is read.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -54,6 +54,18 @@ class Record(BaseModel):
         arbitrary_types_allowed=True,
         populate_by_name=True,
     )
+
+    def named_images(self) -> Iterator[str]:
+        """List the images that this row and the rows in it name."""
+        for key in type(self).model_fields:
+            value = getattr(self, key)
+            if key in ("image", "image_i", "image_j", "reference") and value is not None:
+                yield value
+            elif key == "images":
+                yield from value
+            elif isinstance(value, tuple):
+                for row in value:
+                    yield from row.named_images() if isinstance(row, Record) else ()
 
 
 class SkippedImage(Record):
@@ -155,6 +167,13 @@ class LocalizeBody(Body):
     motions: tuple[MotionRow, ...]
 
 
+class UnregisteredRow(Record):
+    """An image that could not be used or is on no map, and why."""
+
+    image: str
+    reason: str
+
+
 class CandidateRow(Record):
     """One candidate overlap between two robots."""
 
@@ -180,6 +199,7 @@ class OverlapBody(Body):
     stage: ClassVar[str] = "overlap"
     file: ClassVar[str] = "overlap.json"
     overlaps: tuple[OverlapRow, ...]
+    left_out: tuple[UnregisteredRow, ...] = ()
 
 
 class PoseRow(Record):
@@ -206,13 +226,6 @@ class EdgeRow(Record):
     image_j: str
     kind: Literal["odometry", "loop", "overlap"]
     residual_m: float
-
-
-class UnregisteredRow(Record):
-    """An image that is on no map, and why."""
-
-    image: str
-    reason: str
 
 
 class RejectedEdgeRow(Record):

@@ -58,8 +58,9 @@ def supervised(work: Callable[[], int]) -> int:
     for number in _SIGNALS:
         signal.signal(number, forward)
     signal.pthread_sigmask(signal.SIG_SETMASK, held)
+    os.waitid(os.P_PID, worker, os.WEXITED | os.WNOWAIT)  # its number is its own until it is reaped
+    signal.pthread_sigmask(signal.SIG_BLOCK, {*_SIGNALS, signal.SIGALRM})
     code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
-    signal.setitimer(signal.ITIMER_REAL, 0)
     return _exit_code(code, received)
 
 
@@ -114,6 +115,14 @@ def _unwind(number: int, frame: FrameType | None) -> None:
     for other in _SIGNALS:
         signal.signal(other, signal.SIG_IGN)
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
+def stopping() -> bool:
+    """Whether a signal has ended the work: what fails from then on fails for that reason.
+
+    A library that is being loaded turns the exception of a signal into one of its own.
+    """
+    return signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
 
 
 def _die_with(alive: int) -> None:

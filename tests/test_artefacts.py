@@ -1,6 +1,7 @@
 """Artefact files: canonical, checked, whole or not at all."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,17 @@ def test_broken_json_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
         read_artefact(path.parent, MatchBody)
 
 
+@pytest.mark.parametrize("name", ["match.json", "match.npz"])
+def test_a_pipe_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    folder = written(tmp_path)
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with pytest.raises(InputError, match=name):
+        read_artefact(folder, MatchBody)
+    with pytest.raises(InputError, match=name):
+        read_npz(folder / name)
+
+
 def test_changed_side_files_are_noticed(tmp_path: Path) -> None:
     folder = written(tmp_path)
     with (folder / "match.npz").open("ab") as stream:
@@ -166,6 +178,22 @@ JSON = st.recursive(
     lambda children: st.lists(children) | st.dictionaries(st.text(max_size=3), children),
     max_leaves=20,
 )
+
+
+def test_no_flipped_bit_of_an_npz_is_a_defect(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    write_npz(path, {"points": np.arange(40.0).reshape(20, 2), "names": np.array(["a", "b"])})
+    sound = path.read_bytes()
+    refused = 0
+    for at in range(len(sound)):
+        damaged = bytearray(sound)
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        try:
+            read_npz(path)
+        except InputError:
+            refused += 1
+    assert refused > len(sound) // 2
 
 
 @given(JSON)

@@ -1,6 +1,7 @@
 """Error measures against formulas written out here, and the commands against known answers."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ from gvpipe.formats.colmap import (
     read_images,
 )
 from gvpipe.formats.kitti import format_kitti, read_kitti
+from gvpipe.formats.ply import read_mesh
 from gvpipe.formats.tum import format_tum
 from tests.conftest import TinySet
 from tests.synthetic import CAMERA, common_ground, true_homography
@@ -227,6 +229,13 @@ def test_damaged_files_are_named(tmp_path: Path, name: str, text: str) -> None:
 def box(x: float, size: float = 1.0) -> Surface:
     surface = Solid("box", x, 0.0, (size, size, size)).surface
     return Surface(surface.vertices, surface.faces)
+
+
+@pytest.mark.parametrize("name", ["slam.json", "a.txt", "a.ply"])
+def test_pipes_are_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match=f"{name}: is not a regular file"):
+        (read_mesh if name == "a.ply" else read_trajectory)(tmp_path / name)
 
 
 def test_samples_lie_evenly_on_the_surface() -> None:

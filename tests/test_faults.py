@@ -5,6 +5,7 @@ The long versions are `make faults` and `make fuzz`; what is here is bounded.
 
 import ast
 import errno
+import json
 import os
 import random
 import shutil
@@ -13,8 +14,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from hypothesis import strategies as st
 
 import gvpipe
 from gvpipe import checkpoint, output
+from gvpipe.artefacts import digest, read_artefact
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.cli import run
 from gvpipe.configfile import load_config
@@ -31,7 +34,10 @@ from gvpipe.core.types import Mount
 from gvpipe.dataset import open_dataset
 from gvpipe.errors import UsageError
 from gvpipe.memory import PROCESS_BYTES, jobs_within, parse_size
+from gvpipe.parallel import Crashed, Workers
+from gvpipe.records import MatchBody, OverlapBody
 from gvpipe.report import Reporter
+from gvpipe.supervisor import GRACE_S
 from tests.faults.broken import add_broken_images
 from tests.faults.fulldisk import small_disk, trial
 from tests.faults.fuzz import Findings, try_artefact, try_config
@@ -102,9 +108,34 @@ def test_killed_runs_leave_nothing_partial_and_lose_nothing(small: Path, tmp_pat
     assert figures.resumed == 1
 
 
+def test_what_kills_its_worker_twice_is_recorded(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    undisturbed = Workers.map
+
+    def deadly(self: Workers[Any], function: Any, items: Sequence[Any]) -> Iterator[Any]:
+        for item in items:
+            dies = item == "B/2.png" or getattr(item, "image_j", "") == "A/1.png"
+            yield Crashed(item) if dies else next(undisturbed(self, function, [item]))
+
+    monkeypatch.setattr(Workers, "map", deadly)
+    for stage in ("match", "overlap"):
+        assert run([stage, str(small), "--out", str(tmp_path), "-q", "--jobs", "1"]) == 0
+    had = read_artefact(reference(small) / "match", MatchBody).body.pairs
+    have = read_artefact(tmp_path / "match", MatchBody).body.pairs
+    reasons = [row.reason for row in have]
+    assert reasons[0] == "the worker process died twice on this pair"
+    assert reasons[3] == "the worker process died twice on B/2.png"
+    assert [row.model_dump_json() for row in have[1:3]] == [r.model_dump_json() for r in had[1:3]]
+    overlap = read_artefact(tmp_path / "overlap", OverlapBody)
+    assert [row.image for row in overlap.body.left_out] == ["B/2.png"]
+    assert "B/2.png" not in overlap.arrays("overlap.npz")["image_ids"]
+    assert any(row.validated for row in overlap.body.overlaps[0].candidates)
+
+
 SUPERVISED = """
 import ctypes, os, signal, sys, time
-from gvpipe.supervisor import supervised
+from gvpipe import cli, supervisor
 def deaf():
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
     print("ready", flush=True)
@@ -112,12 +143,26 @@ def deaf():
 def die(number):
     os.kill(os.getpid(), number)
     time.sleep(60)
-sys.exit(supervised(lambda: {work}))
+def swallow():
+    def load(*arguments, **options):
+        try:
+            print("ready", flush=True)
+            time.sleep(60)
+        except BaseException:
+            raise ImportError("initialization failed") from None
+    cli.app = load
+    return cli.run([])
+def obey():
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
+    print("ready", flush=True)
+    time.sleep(60)
+supervisor.GRACE_S = {grace_s}
+sys.exit(supervisor.supervised(lambda: {work}))
 """
 
 
-def supervised(work: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", SUPERVISED.format(work=work)]
+def supervised(work: str, grace_s: float = GRACE_S) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", SUPERVISED.format(work=work, grace_s=grace_s)]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True)
 
@@ -132,6 +177,26 @@ def test_a_process_that_does_not_listen_is_ended_in_time(number: int, code: int)
     assert process.wait(10) == code
     assert time.monotonic() - started < 2.0
     process.communicate()
+
+
+def test_what_a_signal_breaks_is_no_defect() -> None:
+    process = supervised("swallow()")
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=10)
+    assert (process.returncode, err) == (143, "")
+
+
+def test_signals_just_when_it_ends_are_harmless() -> None:
+    for _ in range(10):
+        process = supervised("obey()", grace_s=0.001)
+        assert process.stdout
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)  # it ends about when it would be killed
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=10)
+        assert (process.returncode, err) == (130, "")
 
 
 @pytest.mark.parametrize(
@@ -179,6 +244,19 @@ def test_a_read_only_folder_is_named(small: Path, tmp_path: Path, capsys) -> Non
     else:
         assert run(["match", str(small), "--out", str(out)]) == 6
         assert str(out) in capsys.readouterr().err
+
+
+def test_a_folder_without_permission_is_named(small: Path, tmp_path: Path) -> None:
+    sealed = tmp_path / "sealed"
+    sealed.mkdir(mode=0o555)
+    command = [sys.executable, "-m", "gvpipe", "match", str(small), "--out", str(sealed / "new")]
+    if os.geteuid() == 0:  # permissions bind root only without this power
+        if shutil.which("setpriv") is None:
+            pytest.skip("needs setpriv")
+        command = ["setpriv", "--bounding-set=-dac_override", *command]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 6
+    assert ended.stderr == f"gvpipe: {sealed / 'new'}: cannot be written: Permission denied\n"
 
 
 def test_a_failing_disk_leaves_the_old_artefact(
@@ -358,6 +436,17 @@ def test_degenerate_geometry_ends_in_words(
     # what the priors on tilt and height still fix may match; without a result it says so
     assert ended == codes if codes else set(ended) <= {0, 4, 5}
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_an_artefact_that_names_no_image_is_refused(small: Path, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    shutil.copytree(reference(small) / "match", tmp_path / "match")
+    path = tmp_path / "match" / "match.json"
+    document = json.loads(path.read_bytes())
+    document["pairs"][0]["image_i"] = "A/9.png"
+    document["content_sha256"] = digest(document)
+    path.write_text(json.dumps(document))
+    assert run(["localize", str(small), "--out", str(tmp_path)]) == 4
+    assert f"{path}: 'A/9.png' is no image; `gvpipe match" in capsys.readouterr().err
 
 
 # Discretion

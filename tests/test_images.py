@@ -177,6 +177,13 @@ def test_what_is_no_regular_file_never_blocks(tmp_path):
     assert isinstance(read_image(link), DecodedImage)
 
 
+def test_what_the_kernel_makes_up_is_empty(tmp_path):
+    (tmp_path / "a.png").symlink_to("/proc/self/status")
+    (tmp_path / "a").symlink_to("/proc/self/status")
+    assert read_image(tmp_path / "a.png") == Rejected("is empty")
+    assert not is_image_file(tmp_path / "a")
+
+
 @pytest.mark.parametrize("name", [b"\xff\xfe.png", b"a\nb.png", "\U0001f697.png".encode()])
 def test_any_name_is_read(name, tmp_path):
     path = tmp_path / os.fsdecode(name)

@@ -15,6 +15,7 @@ from gvpipe.core.synthesis.texture import stone
 from gvpipe.core.types import Camera, Mount
 from gvpipe.dataset import open_dataset
 from gvpipe.formats.jpeg import jpeg_bytes
+from tests.faults.broken import add_broken_images
 
 
 def picture(path: Path, size: tuple[int, int] = (64, 48), **exif: float) -> None:
@@ -115,6 +116,40 @@ def test_folders_become_robots(tmp_path: Path) -> None:
     config = load_config(tmp_path / "team.yaml")
     assert list(config.robots) == ["robot_A", "robotB"]
     assert len(open_dataset(config).entries) == 4
+
+
+def test_broken_files_are_named_and_never_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for k in range(2):
+        picture(tmp_path / "mixed" / f"a{k}.jpg")
+    (tmp_path / "mixed" / "notes.txt").write_text("a nice floor")
+    (tmp_path / "mixed" / "walk.mp4").write_text("no video")
+    add_broken_images(tmp_path / "mixed")
+    assert run(["init", str(tmp_path / "mixed"), "--focal", "60"]) == 0
+    said = capsys.readouterr().err
+    unusable = ("32 pipe.png", "35 device.png", "33 loop.png", "00 empty.png", "09 bomb.png")
+    for name in (*unusable, "28 drawing.gif", "36 %FF%FE.png", "walk.mp4", "37 line%0Afeed"):
+        assert name in said
+    assert "notes.txt" not in said
+    assert run(["init", str(tmp_path / "mixed" / "32 pipe.png"), "-q"]) == 4
+    assert "is not a regular file" in capsys.readouterr().err
+
+
+def test_links_to_folders_lead_nowhere(tmp_path: Path) -> None:
+    picture(tmp_path / "team" / "one" / "0.jpg")
+    for name in ("round", "and round"):
+        (tmp_path / "team" / name).symlink_to(".")
+    assert run(["init", str(tmp_path / "team"), "--focal", "60", "-q"]) == 0
+    assert list(load_config(tmp_path / "team.yaml").robots) == ["one"]
+
+
+def test_upright_copies_keep_names_apart(tmp_path: Path) -> None:
+    for name in ("0.jpg", "0.png", "1.jpg"):
+        picture(tmp_path / "p" / name, orientation=3)
+    assert run(["init", str(tmp_path / "p"), "--focal", "60", "-q"]) == 0
+    names = {path.name for path in (tmp_path / "upright" / "p").iterdir()}
+    assert names == {"0.jpg.jpg", "0.png.jpg", "1.jpg"}
 
 
 def test_nothing_to_find(tmp_path: Path) -> None:

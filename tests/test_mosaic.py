@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gvpipe.commands import report_pictures
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply, local_jacobian
 from gvpipe.core.geometry.pose import planar_pose
@@ -15,7 +16,8 @@ from gvpipe.core.mosaic.blend import BLENDS, Samples
 from gvpipe.core.mosaic.compose import BAND, Composition, compose
 from gvpipe.core.mosaic.raster import MosaicRaster, max_depth, outline, plan_raster
 from gvpipe.core.types import Camera, Mount, PosedView
-from gvpipe.formats.raster import PngWriter, png_bytes, read_world_file, world_file
+from gvpipe.errors import InputError
+from gvpipe.formats.raster import PngWriter, png_bytes, read_png, read_world_file, world_file
 
 CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)
 RESOLUTION = 0.01
@@ -250,6 +252,20 @@ def test_png_of_strips_decodes_to_the_picture():
         order = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]
         np.testing.assert_array_equal(decoded[..., order], pixels)
         assert png_bytes(pixels)[16:24] == struct.pack(">II", 23, 37)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_pictures_are_read_back_at_any_size(channels, tmp_path, monkeypatch):
+    monkeypatch.setattr("PIL.Image.MAX_IMAGE_PIXELS", 10)  # from twice as many on Pillow refuses
+    pixels = np.random.default_rng(0).integers(0, 256, (7, 5, channels), dtype=np.uint8)
+    path = tmp_path / "a.png"
+    path.write_bytes(sound := png_bytes(pixels))
+    assert np.array_equal(read_png(path), pixels)
+    assert report_pictures.picture(path).startswith("data:image/webp;base64,")
+    for damaged in (b"", sound[:-1], sound[:40] + b"?" + sound[41:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.png"):
+            read_png(path)
 
 
 def test_png_refuses_strips_that_do_not_fit():

@@ -1,10 +1,15 @@
 """Occupancy grids and the files map_server reads, read back by its documented rules."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 import yaml
 
 from gvpipe.core.mosaic.occupancy import FREE, OCCUPIED, UNKNOWN, draw_footprints, occupancy
+from gvpipe.errors import InputError
 from gvpipe.formats.occupancy import pgm_bytes, yaml_text
+from gvpipe.stages.reconstruct_map import read_map
 
 
 def read_by_the_rules(pgm: bytes, text: str) -> tuple[np.ndarray, dict]:
@@ -64,3 +69,17 @@ def test_footprints_are_drawn_where_they_stand():
     rows, columns = np.nonzero(drawn == OCCUPIED)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (10, 20, 10, 20)
     assert (cells == FREE).all()
+
+
+@pytest.mark.parametrize("resolution", [0.0, -0.01, 0.02])
+def test_a_map_whose_place_does_not_fit_is_refused(tmp_path, resolution):
+    (tmp_path / "map.pgm").write_bytes(pgm_bytes(np.zeros((2, 3), np.int8)))
+    place = np.array([[0.01, 0, 0.5], [0, -0.01, 1.5], [0, 0, 1]])
+    body = SimpleNamespace(
+        width=3, height=2, resolution=0.01, map_from_pixel=place, file="mosaic.json"
+    )
+    mosaic = SimpleNamespace(body=body, folder=tmp_path)
+    assert read_map(mosaic).cells.shape == (2, 3)
+    body.resolution = resolution
+    with pytest.raises(InputError, match=r"mosaic\.json: map_from_pixel"):
+        read_map(mosaic)

@@ -71,7 +71,7 @@ def trajectory(
     found, true, names = paired(estimate, reference, max_gap_s)
     fit = align(found, true, how)
     if isinstance(fit, Rejected):
-        raise InputError(f"--align {how}: {fit.reason}")
+        raise InputError(f"{escape(str(estimate))}: --align {how}: {fit.reason}")
     moved = [fit.pose(pose) for pose in found]
     absolute = absolute_errors(moved, true)
     document: dict[str, Any] = {

@@ -1,6 +1,7 @@
 """``gvpipe init``: look at pictures, guess what can be guessed, write a configuration."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -122,9 +123,8 @@ def _robots(path: Path) -> list[Found]:
     for child in sorted(path.iterdir()):
         if child.name.startswith(".") or child.name in ("masks", "upright"):
             continue
-        if child.is_dir():
-            inner = [Found(r.name, r.images, r.photos) for r in _robots_or_none(child)]
-            robots += inner
+        if child.is_dir() and not child.is_symlink():  # links may lead round in circles
+            robots += _robots_or_none(child)
         elif is_video_file(child):
             robots += _robots(child)
     if not robots:
@@ -168,13 +168,15 @@ def _upright(robot: Found, folder: Path) -> Found:
     except OSError as error:
         raise OutputError(f"{escape(str(target))}: cannot be written: {error.strerror}") from error
     photos = []
+    stems = Counter(Path(photo.name).stem for photo in robot.photos)
     for photo in robot.photos:
         pixels = read_photo(photo)
         if isinstance(pixels, Rejected):
             log.warning("%s: %s", photo.name, pixels.reason)
             continue
         turned = _turn(pixels, photo.orientation)
-        path = target / (Path(photo.name).stem + ".jpg")
+        stem = Path(photo.name).stem
+        path = target / f"{stem if stems[stem] == 1 else photo.name}.jpg"
         write_file(path, jpeg_bytes(turned, 97))
         height, width = turned.shape[:2]
         photos.append(

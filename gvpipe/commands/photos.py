@@ -1,8 +1,9 @@
 """The pictures a user points at: which there are, how large, and what their EXIF tells."""
 
+import io
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from PIL import Image as Pillow
 from gvpipe.core.types import Image, Rejected
 from gvpipe.errors import InputError
 from gvpipe.filelist import list_files
-from gvpipe.formats.images import read_image
+from gvpipe.formats.files import read_regular_file
+from gvpipe.formats.images import MAX_FILE_BYTES, is_image_file, read_header, read_image
 from gvpipe.formats.video import VideoReader, frame_name, is_video_file
 from gvpipe.names import escape
 from gvpipe.report import log
@@ -79,42 +81,57 @@ def list_photos(path: Path, most_frames: int) -> list[Photo]:
     Raises
     ------
     InputError
-        If there is nothing of that name.
+        If there is nothing of that name, or the one file named is no picture.
     """
     photos: list[Photo] = []
     for file in list_files(path):
-        if is_video_file(file):
-            photos += _frames(file, most_frames)
-            continue
-        photo = _look(file)
-        if photo is not None:
-            photos.append(photo)
+        video = is_video_file(file)
+        found = _frames(file, most_frames) if video else _look(file)
+        if not isinstance(found, Rejected):
+            photos += found
+        elif file == path:
+            raise InputError(f"{escape(str(file))}: {found.reason}")
+        elif video or is_image_file(file):  # notes and the like may lie there, too
+            log.warning("%s: %s: left out", escape(file.name), found.reason)
     return photos
 
 
-def _look(file: Path) -> Photo | None:
-    """Read size and EXIF without decoding pixels; None if the file is no picture."""
+def _look(file: Path) -> list[Photo] | Rejected:
+    """Read size and EXIF without decoding pixels."""
+    raw = read_regular_file(file, MAX_FILE_BYTES)
+    if isinstance(raw, Rejected):
+        return raw
+    header = read_header(raw)
+    if isinstance(header, Rejected):
+        return header
+    focal, source, model = _exif(raw, header.width, header.height)
+    turn = header.orientation or 1
+    size = (header.width, header.height)
+    return [
+        Photo(
+            escape(file.name),
+            file,
+            None,
+            *size,
+            focal,
+            source,
+            turn if 1 <= turn <= 8 else 1,
+            model,
+        )
+    ]
+
+
+def _exif(raw: bytes, width: int, height: int) -> tuple[float | None, str, str]:
+    """Focal length in pixels, where it comes from, and the camera's model."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Pillow.open(file) as picture:
-                width, height = picture.size
+            with Pillow.open(io.BytesIO(raw)) as picture:
                 exif = picture.getexif()
-    except (OSError, ValueError, SyntaxError, Pillow.DecompressionBombError):
-        return None
-    focal, source = _focal(exif, width, height)
-    orientation = exif.get(_ORIENTATION, 1)
-    return Photo(
-        escape(file.name),
-        file,
-        None,
-        width,
-        height,
-        focal,
-        source,
-        orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1,
-        escape(str(exif.get(_MODEL, "")).strip("\0 "))[:80],
-    )
+                focal, source = _focal(exif, width, height)
+                return focal, source, escape(str(exif.get(_MODEL, "")).strip("\0 "))[:80]
+    except Exception:  # a parser of hostile bytes may raise anything
+        return None, "", ""
 
 
 def _focal(exif: Pillow.Exif, width: int, height: int) -> tuple[float | None, str]:
@@ -135,15 +152,16 @@ def _focal(exif: Pillow.Exif, width: int, height: int) -> tuple[float | None, st
     return None, ""
 
 
-def _frames(file: Path, most: int) -> Iterator[Photo]:
+def _frames(file: Path, most: int) -> list[Photo] | Rejected:
     """Frames of a video, evenly spread."""
     with VideoReader(file) as reader:
         if reader.reason is not None:
-            raise InputError(f"{escape(str(file))}: {reader.reason}")
+            return Rejected(reader.reason)
         count = max(reader.announced, 1)
-        for index in sorted({int(k) for k in np.linspace(0, count - 1, min(most, count))}):
-            name = frame_name(escape(file.name), index)
-            yield Photo(name, file, index, reader.width, reader.height)
+        chosen = sorted({int(k) for k in np.linspace(0, count - 1, min(most, count))})
+        names = [frame_name(escape(file.name), k) for k in chosen]
+        size = (reader.width, reader.height)
+        return [Photo(name, file, k, *size) for name, k in zip(names, chosen, strict=True)]
 
 
 def of_one_size(photos: Sequence[Photo], where: str) -> list[Photo]:

@@ -12,6 +12,7 @@ from PIL import Image as Pillow
 
 from gvpipe.core.types import Float, Image
 from gvpipe.formats.jpeg import jpeg_bytes
+from gvpipe.formats.raster import read_png
 
 THUMB_WIDTH = 200
 """Width of the picture of a photograph, pixels."""
@@ -50,12 +51,17 @@ def thumbnail(pixels: Image) -> tuple[str, int]:
 
 def picture(path: Path, side: int = MAP_SIDE) -> str:
     """Read a picture that a stage wrote, and make it small; what is transparent stays so."""
-    with Pillow.open(path) as opened:
-        kept = opened.convert("RGBA" if opened.mode in ("RGBA", "LA", "P") else "RGB")
+    kept = _opened(path)
     kept.thumbnail((side, side), Pillow.Resampling.BOX)
     stream = io.BytesIO()
     kept.save(stream, format="WEBP", quality=82, method=4)
     return data_uri("webp", stream.getvalue())
+
+
+def _opened(path: Path) -> Pillow.Image:
+    """Read a picture of any size; Pillow by itself refuses large maps."""
+    pixels = read_png(path)
+    return Pillow.fromarray(pixels if pixels.shape[2] > 1 else pixels[..., 0])
 
 
 def ground_grid(path: Path, map_from_pixel: Float) -> tuple[Float, Image, NDArray[np.int64]]:
@@ -77,10 +83,9 @@ def ground_grid(path: Path, map_from_pixel: Float) -> tuple[Float, Image, NDArra
     faces : (F, 3) int64
         Vertex numbers; where nothing was seen there is no face.
     """
-    with Pillow.open(path) as opened:
-        rgba = opened.convert("RGBA")
-        full = np.array(rgba.size)
-        rgba.thumbnail((GROUND_SIDE, GROUND_SIDE), Pillow.Resampling.BOX)
+    rgba = _opened(path).convert("RGBA")
+    full = np.array(rgba.size)
+    rgba.thumbnail((GROUND_SIDE, GROUND_SIDE), Pillow.Resampling.BOX)
     pixels = np.asarray(rgba)
     height, width = pixels.shape[:2]
     rows, columns = np.mgrid[:height, :width]

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from gvpipe.core.types import Camera, Pose
+from gvpipe.core.types import Camera, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.colmap import read_cameras, read_images
+from gvpipe.formats.files import read_regular_file
 from gvpipe.formats.kitti import read_kitti
 from gvpipe.formats.tum import read_tum
 from gvpipe.names import escape
@@ -75,10 +76,8 @@ def read_trajectory(path: Path) -> Trajectory:
 
 def _columns(path: Path) -> int:
     """Count the words of the first line that is no comment; 0 if the file cannot be read."""
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(1 << 16)
-    except OSError:
+    head = read_regular_file(path, 0, first=1 << 16)
+    if isinstance(head, Rejected):
         return 0
     lines = (line for line in head.splitlines() if line.strip() and not line.startswith(b"#"))
     return len(next(lines, b"").split())
@@ -108,12 +107,11 @@ def load_json(path: Path) -> dict[str, Any]:
     InputError
         If it cannot be read or is none.
     """
+    raw = read_regular_file(path, MOST_JSON_BYTES)
+    if isinstance(raw, Rejected):
+        raise InputError(f"{escape(str(path))}: {raw.reason}")
     try:
-        if path.stat().st_size > MOST_JSON_BYTES:
-            raise InputError(f"{escape(str(path))}: larger than {MOST_JSON_BYTES} bytes")
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{escape(str(path))}: cannot be read: {error.strerror}") from error
+        document = json.loads(raw)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{escape(str(path))}: is not JSON: {error}") from error
     if not isinstance(document, dict):

@@ -34,10 +34,11 @@ def read_regular_file(path: Path, max_bytes: int, first: int | None = None) -> b
             if not stat.S_ISREG(found.st_mode):
                 return Rejected("is not a regular file")
             if first is not None:
-                return file.read(first)
+                return file.read(min(first, found.st_size))
             if found.st_size > max_bytes:
                 return Rejected(f"is {found.st_size} bytes; at most {max_bytes} are read")
-            return file.read(max_bytes)
+            # a kernel's file, in /proc, says 0 and holds something else at every look
+            return file.read(found.st_size)
     except OSError as error:
         return Rejected(f"cannot be read: {error.strerror}")
     except ValueError as error:

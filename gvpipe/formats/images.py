@@ -10,7 +10,6 @@ import hashlib
 import io
 import threading
 import warnings
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from gvpipe.core.types import Image, Rejected
 from gvpipe.formats.files import read_regular_file
+from gvpipe.formats.raster import png_is_whole
 
 MAX_FILE_BYTES = 256 << 20
 """Largest file read."""
@@ -61,7 +61,9 @@ class DecodedImage:
 
 
 @dataclass(frozen=True)
-class _Header:
+class Header:
+    """What an image file says of itself."""
+
     format: str
     mode: str
     width: int
@@ -86,9 +88,7 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
     raw = read_regular_file(path, MAX_FILE_BYTES)
     if isinstance(raw, Rejected):
         return raw
-    if not raw:
-        return Rejected("is empty")
-    header = _read_header(raw, max_pixels)
+    header = read_header(raw, max_pixels)
     if isinstance(header, Rejected):
         return header
     if not _is_whole(raw, header.format):
@@ -122,10 +122,12 @@ def is_image_file(path: Path) -> bool:
     return raw.startswith(magic) or (raw[:4] == b"RIFF" and raw[8:12] == b"WEBP")
 
 
-def _read_header(raw: bytes, max_pixels: int) -> _Header | Rejected:
-    """Size, kind and orientation of an image, without decoding it."""
+def read_header(raw: bytes, max_pixels: int = MAX_PIXELS) -> Header | Rejected:
+    """Read size, kind and orientation of an image, without decoding it."""
     from PIL import Image as Pillow
 
+    if not raw:
+        return Rejected("is empty")
     if raw[4:8] == b"ftyp" and raw[8:12] in (b"heic", b"heix", b"mif1", b"avif", b"hevc"):
         return Rejected("is HEIC or AVIF, which is not read; convert it to JPEG or PNG")
     with _HEADER_LOCK, warnings.catch_warnings():
@@ -145,7 +147,7 @@ def _read_header(raw: bytes, max_pixels: int) -> _Header | Rejected:
         return Rejected(f"is a TIFF with {image.mode} pixels; expected 8 or 16 bits of grey or RGB")
     if kind == "TIFF" and orientation not in (None, 1):
         return Rejected(f"is a TIFF with orientation tag {orientation}, which decoders apply")
-    return _Header(kind, image.mode, width, height, orientation)
+    return Header(kind, image.mode, width, height, orientation)
 
 
 def _is_whole(raw: bytes, kind: str) -> bool:
@@ -155,7 +157,7 @@ def _is_whole(raw: bytes, kind: str) -> bool:
     damaged JPEG and TIFF data; Pillow refuses those, but takes a PNG without its end.
     """
     if kind == "PNG":
-        return _png_is_whole(raw)
+        return png_is_whole(raw)
     if kind not in ("JPEG", "TIFF"):
         return True
     from PIL import Image as Pillow
@@ -167,23 +169,6 @@ def _is_whole(raw: bytes, kind: str) -> bool:
     except Exception:  # a parser of hostile bytes may raise anything
         return False
     return True
-
-
-def _png_is_whole(raw: bytes) -> bool:
-    """Whether a PNG's chunks follow each other, each with its checksum, up to the last."""
-    at = 8
-    while at + 12 <= len(raw):
-        length = int.from_bytes(raw[at : at + 4], "big")
-        end = at + 12 + length
-        if end > len(raw):
-            return False
-        checksum = int.from_bytes(raw[end - 4 : end], "big")
-        if zlib.crc32(memoryview(raw)[at + 4 : end - 4]) != checksum:
-            return False
-        if raw[at + 4 : at + 8] == b"IEND":
-            return True
-        at = end
-    return False
 
 
 def _orientation(image: object) -> int | None:

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from gvpipe.core.reconstruct.mesh import Mesh, PointCloud
-from gvpipe.core.types import Float, Image
+from gvpipe.core.types import Float, Image, Rejected
 from gvpipe.errors import InputError
+from gvpipe.formats.files import read_regular_file
 
 _VERTEX = np.dtype(
     [(n, "<f4") for n in ("x", "y", "z", "nx", "ny", "nz")]
@@ -94,13 +95,9 @@ def read_mesh(path: Path) -> Mesh:
         If the file cannot be read, is too large, is not such a PLY, is cut short or too long, or
         has corners that are not finite or indices out of range.
     """
-    try:
-        size = path.stat().st_size
-        if size > MOST_FILE_BYTES:
-            raise InputError(f"{path}: {size} bytes, more than {MOST_FILE_BYTES}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    data = read_regular_file(path, MOST_FILE_BYTES)
+    if isinstance(data, Rejected):
+        raise InputError(f"{path}: {data.reason}")
     try:
         return _decode(data)
     except ValueError as error:

@@ -3,10 +3,14 @@
 import struct
 import zlib
 from io import BytesIO
+from pathlib import Path
 from typing import IO
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from gvpipe.errors import InputError
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 COMPRESSION = 3
@@ -90,6 +94,53 @@ def png_bytes(pixels: NDArray[np.uint8]) -> bytes:
     writer.write(pixels)
     writer.close()
     return stream.getvalue()
+
+
+def read_png(path: Path) -> NDArray[np.uint8]:
+    """Read a picture that a stage wrote; of any size, as maps may be.
+
+    Returns
+    -------
+    pixels : (H, W, C) uint8
+        C = 1, 3 or 4: grey, RGB or RGBA.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or is not a whole PNG of 8 bits.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        raw = np.frombuffer(data, np.uint8)
+        found = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if png_is_whole(data) else None
+    except cv2.error:
+        found = None
+    if found is None or found.dtype != np.uint8:
+        raise InputError(f"{path}: cannot be decoded as an 8-bit PNG picture")
+    if found.ndim == 2:
+        return np.asarray(found[..., None], np.uint8)
+    order = cv2.COLOR_BGRA2RGBA if found.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return np.asarray(cv2.cvtColor(found, order), np.uint8)
+
+
+def png_is_whole(data: bytes) -> bool:
+    """Whether a PNG's chunks follow each other, each with its checksum, up to the last."""
+    at = len(SIGNATURE)
+    while data.startswith(SIGNATURE) and at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        end = at + 12 + length
+        if end > len(data):
+            return False
+        checksum = int.from_bytes(data[end - 4 : end], "big")
+        if zlib.crc32(memoryview(data)[at + 4 : end - 4]) != checksum:
+            return False
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at = end
+    return False
 
 
 def world_file(map_from_pixel: NDArray[np.float64]) -> str:

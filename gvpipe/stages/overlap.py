@@ -21,12 +21,11 @@ from gvpipe.core.overlap.signature import (
 )
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
-from gvpipe.errors import InputError
 from gvpipe.formats.plots import curves_svg, heat_map
 from gvpipe.formats.raster import png_bytes
 from gvpipe.pairing import match_pairs, options_from
 from gvpipe.parallel import Crashed, Workers
-from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow
+from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow, UnregisteredRow
 from gvpipe.stages.contract import Context, Outcome
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "seed")
@@ -47,6 +46,8 @@ BATCH = 8
 
 ENOUGH = 3
 """Validated pairs that join two robots: one alone may be chance."""
+
+DIED_TWICE = "the worker process died twice on it"
 
 NOT_TRIED = "not tried: the robots are joined already"
 
@@ -95,23 +96,13 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 
 def run(context: Context) -> Outcome[OverlapBody, Findings]:
     """Rank pairs of pictures by histogram distance, validate the likely ones."""
-    config, dataset = context.config, context.dataset
-    images = [entry.image_id for entry in dataset.entries]
-    looks: dict[str, _Look] = {}
-    with (
-        context.progress("describe", len(images)) as ticker,
-        Workers(dataset, context.jobs) as workers,
-    ):
-        for image, look in zip(images, workers.map(_look, images), strict=True):
-            if isinstance(look, Crashed):
-                raise InputError(f"{image}: the worker process died twice on it")
-            looks[image] = look
-            ticker.advance()
-    histograms = np.array([looks[image].histogram for image in images]).reshape(-1, BINS)
-    meetings = list(_meetings(config, dataset, looks))
+    config = context.config
+    looks, left_out = _describe(context)
+    histograms = np.array([look.histogram for look in looks.values()]).reshape(-1, BINS)
+    meetings = list(_meetings(config, context.dataset, looks))
     validate = _first if config.overlap.validate == "first" else _all
     found = validate(context, meetings, looks)
-    arrays: Arrays = {"histograms": histograms, "image_ids": np.array(images, dtype=np.str_)}
+    arrays: Arrays = {"histograms": histograms, "image_ids": np.array(list(looks), dtype=np.str_)}
     overlaps = []
     figures: dict[str, bytes] = {}
     for meeting, results in zip(meetings, found, strict=True):
@@ -137,7 +128,8 @@ def run(context: Context) -> Outcome[OverlapBody, Findings]:
         )
         for row in overlaps
     )
-    body = OverlapBody(overlaps=tuple(overlaps))
+    summary += tuple(("left out", f"{row.image}: {row.reason}") for row in left_out)
+    body = OverlapBody(overlaps=tuple(overlaps), left_out=left_out)
     return Outcome(body, Findings(arrays, figures), summary=summary)
 
 
@@ -146,6 +138,24 @@ def write(outcome: Outcome[OverlapBody, Findings], folder: Path) -> None:
     write_npz(folder / "overlap.npz", outcome.payload.arrays)
     for name, data in outcome.payload.figures.items():
         (folder / name).write_bytes(data)
+
+
+def _describe(context: Context) -> tuple[dict[str, _Look], tuple[UnregisteredRow, ...]]:
+    """Look at every picture; those on which the worker died twice are left out."""
+    images = [entry.image_id for entry in context.dataset.entries]
+    looks: dict[str, _Look] = {}
+    left_out = []
+    with (
+        context.progress("describe", len(images)) as ticker,
+        Workers(context.dataset, context.jobs) as workers,
+    ):
+        for image, look in zip(images, workers.map(_look, images), strict=True):
+            if isinstance(look, Crashed):
+                left_out.append(UnregisteredRow(image=image, reason=DIED_TWICE))
+            else:
+                looks[image] = look
+            ticker.advance()
+    return looks, tuple(left_out)
 
 
 def _look(dataset: Dataset, image: str) -> _Look:
@@ -158,8 +168,8 @@ def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iter
     """Rank the pictures of every two robots."""
     settings = config.overlap
     for a, b in combinations(dataset.robots, 2):
-        ids_a = [entry.image_id for entry in dataset.robots[a]]
-        ids_b = [entry.image_id for entry in dataset.robots[b]]
+        ids_a = [e.image_id for e in dataset.robots[a] if e.image_id in looks]
+        ids_b = [e.image_id for e in dataset.robots[b] if e.image_id in looks]
         of_a = np.array([looks[i].histogram for i in ids_a]).reshape(-1, BINS)
         of_b = np.array([looks[i].histogram for i in ids_b]).reshape(-1, BINS)
         few = len(ids_a) * len(ids_b) <= MAX_MATRIX

@@ -4,9 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import imageio.v3 as iio
-import numpy as np
-
 from gvpipe.config import Config
 from gvpipe.core.reconstruct.agreement import agreement
 from gvpipe.core.reconstruct.background import GroundModel
@@ -17,10 +14,11 @@ from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, silh
 from gvpipe.core.reconstruct.solution import Solution
 from gvpipe.core.types import PosedView
 from gvpipe.errors import InputError
+from gvpipe.formats.raster import read_png
 from gvpipe.records import Body, MosaicBody, ObstacleRow, ReconstructBody, SlamBody
 from gvpipe.stages.contract import Context, Outcome, posed_views
 from gvpipe.stages.reconstruct_files import Scene, Volume, write_scene
-from gvpipe.stages.reconstruct_map import RosMap, map_with_obstacles, write_ros_map
+from gvpipe.stages.reconstruct_map import RosMap, map_with_obstacles, read_map, write_ros_map
 from gvpipe.stages.reconstruct_methods import METHODS, grid_over
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "mosaic", "reconstruct", "seed")
@@ -45,7 +43,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     settings = context.config.reconstruct
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()
-    ground = _ground(context)
+    ground, bare = _ground(context), read_map(context.artefact(MosaicBody))
     shapes = silhouettes(views, ground, options, context.jobs)
     regions = find_regions(views, shapes, options)
     volumes = []
@@ -77,7 +75,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
         body,
         Reconstruction(
             Scene(tuple(volumes), tuple(found), tuple(views), ground),
-            map_with_obstacles(context.artefact(MosaicBody), rows, views),
+            map_with_obstacles(bare, rows, views),
         ),
         no_result=None if rows else "nothing stands on the ground that enough views see",
         summary=(("obstacles", str(len(rows))), *summary),
@@ -131,13 +129,10 @@ def _ground(context: Context) -> GroundModel:
     """Read the mosaic as the model of the bare ground."""
     mosaic = context.artefact(MosaicBody)
     path = mosaic.folder / "mosaic.png"
-    try:
-        rgba = iio.imread(path.read_bytes(), extension=".png")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a picture: {error}") from None
+    rgba = read_png(path)
     if rgba.shape != (mosaic.body.height, mosaic.body.width, 4):
         raise InputError(f"{path}: not the picture that mosaic.json describes")
-    return GroundModel(rgba.astype(np.uint8), mosaic.body.map_from_pixel)
+    return GroundModel(rgba, mosaic.body.map_from_pixel)
 
 
 def _total_energy(solutions: Sequence[Solution]) -> tuple[tuple[int, float], ...]:

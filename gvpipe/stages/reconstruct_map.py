@@ -23,29 +23,13 @@ class RosMap:
     raster: MosaicRaster
 
 
-def map_with_obstacles(
-    mosaic: Artefact[MosaicBody], obstacles: Sequence[ObstacleRow], views: Sequence[Posed]
-) -> RosMap:
-    """Read the mosaic's map and correct it by the obstacles.
-
-    Parameters
-    ----------
-    mosaic : Artefact
-        With its map.
-    obstacles : sequence of ObstacleRow
-        Footprints and heights.
-    views : sequence of Posed
-        All cameras of the main component.
-
-    Returns
-    -------
-    map : RosMap
-        Occupied under the obstacles, unknown where only their sides were seen.
+def read_map(mosaic: Artefact[MosaicBody]) -> RosMap:
+    """Read the mosaic's map.
 
     Raises
     ------
     InputError
-        If the mosaic's map is damaged.
+        If it is damaged, or not what `mosaic.json` describes.
     """
     body, path = mosaic.body, mosaic.folder / "map.pgm"
     try:
@@ -56,8 +40,33 @@ def map_with_obstacles(
         raise InputError(f"{path}: not the map that mosaic.json describes")
     m = body.map_from_pixel
     raster = MosaicRaster(body.width, body.height, body.resolution, float(m[0, 2]), float(m[1, 2]))
+    if body.resolution <= 0 or not np.allclose(m, raster.map_from_pixel):
+        json_path = mosaic.folder / body.file
+        raise InputError(f"{json_path}: map_from_pixel: does not fit the resolution")
+    return RosMap(cells, raster)
+
+
+def map_with_obstacles(
+    bare: RosMap, obstacles: Sequence[ObstacleRow], views: Sequence[Posed]
+) -> RosMap:
+    """Correct a map by the obstacles found.
+
+    Parameters
+    ----------
+    bare : RosMap
+        The mosaic's.
+    obstacles : sequence of ObstacleRow
+        Footprints and heights.
+    views : sequence of Posed
+        All cameras of the main component.
+
+    Returns
+    -------
+    map : RosMap
+        Occupied under the obstacles, unknown where only their sides were seen.
+    """
     solids = [Solid(row.footprint, row.height_m) for row in obstacles]
-    return RosMap(with_obstacles(cells, solids, views, raster), raster)
+    return RosMap(with_obstacles(bare.cells, solids, views, bare.raster), bare.raster)
 
 
 def write_ros_map(ros_map: RosMap, folder: Path) -> None:
