@@ -49,7 +49,7 @@ LIKE = 15.0
 FIT = 20.0
 """Colours closer than this to the ground's are ground."""
 
-COLOUR_WEIGHT = 0.4
+COLOUR_WEIGHT = 0.15
 """Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^2.5
 times rarer counts about as much as one view from a direction of its own."""
 
