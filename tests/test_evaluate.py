@@ -302,9 +302,10 @@ def test_trajectory_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_mesh_command(tmp_path: Path) -> None:
-    a = trimesh.Trimesh(box(0).vertices, box(0).faces)
+    a = trimesh.Trimesh(box(0).vertices * [1.0, 2.0, 3.0], box(0).faces)
     a.export(tmp_path / "a.ply")
-    a.export(tmp_path / "a.glb")
+    turn = trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0])
+    a.apply_transform(turn).export(tmp_path / "a.glb")  # y up
     out = ["--json", str(tmp_path / "out.json"), "-q"]
     files = [str(tmp_path / "a.ply"), str(tmp_path / "a.glb")]
     assert run(["evaluate", "mesh", *files, "--spacing", "0.05", "--tolerance", "0.05", *out]) == 0

@@ -13,6 +13,7 @@ from gvpipe.core.evaluation.mesh_error import Surface, sample_surface, surface_e
 from gvpipe.core.evaluation.trajectory_error import Alignment, Similarity, align
 from gvpipe.core.types import Rejected
 from gvpipe.errors import InputError
+from gvpipe.formats.glb import GLTF_FROM_MAP
 from gvpipe.names import escape
 from gvpipe.report import Reporter
 
@@ -38,7 +39,7 @@ def mesh(
     Parameters
     ----------
     estimate, truth : Path
-        PLY, or whatever else trimesh reads; metres.
+        PLY, or whatever else trimesh reads; metres, z up (glTF: y up, as it asks).
     tolerance_m : float
         What counts as near.
     above_m : float
@@ -106,7 +107,7 @@ def mesh(
 
 
 def _read_surface(path: Path) -> Surface:
-    """Read a mesh with trimesh, all parts joined."""
+    """Read a mesh with trimesh, all parts joined; glTF has y up, the map z."""
     name = escape(str(path))
     if not path.is_file():
         raise InputError(f"{name}: no such file; expected a mesh")
@@ -117,4 +118,7 @@ def _read_surface(path: Path) -> Surface:
     faces = np.asarray(getattr(loaded, "faces", np.empty((0, 3), int)))
     if not len(faces) or not np.isfinite(loaded.vertices).all():
         raise InputError(f"{name}: holds no surface, or corners that are not finite")
-    return Surface(np.asarray(loaded.vertices, dtype=np.float64), faces)
+    vertices = np.asarray(loaded.vertices, dtype=np.float64)
+    if path.suffix.lower() in (".glb", ".gltf"):
+        vertices = vertices @ GLTF_FROM_MAP
+    return Surface(vertices, faces)

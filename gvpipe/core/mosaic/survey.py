@@ -49,8 +49,8 @@ LIKE = 15.0
 FIT = 20.0
 """Colours closer than this to the ground's are ground."""
 
-COLOUR_WEIGHT = 0.4
-"""Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^2.5
+COLOUR_WEIGHT = 0.33
+"""Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^3
 times rarer counts about as much as one view from a direction of its own."""
 
 SURE_SHARE, SURE_WEIGHT = 0.8, 1.3

@@ -11,9 +11,9 @@ from gvpipe.core.reconstruct.energy import Volume
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.types import Float, Image
 
-SMALLEST_OBSTACLE_M3 = 2e-5
-"""Closed surfaces that hold less are specks of the evidence: 20 cubic centimetres is a cube with
-sides of 2.7 cm, less than any robot's wheel has to mind."""
+SMALLEST_OBSTACLE_M3 = 2e-6
+"""Closed surfaces that hold less are specks of the evidence: a cube with sides of 1.3 cm, less than
+any robot's wheel has to mind."""
 
 CLEARANCE = np.float32(0.01)
 """Voxels between the surface and every voxel centre, so that all triangles have an area: a shift

@@ -240,7 +240,7 @@ def _guessed(
     """Parts of a region that hardly differ from ground that other views do see there.
 
     They were filled in by colours, or because earlier rounds thought the ground hidden: guesses
-    that would prove each other.
+    that would prove each other. Their mean of `measured` there is `least` or less.
     """
     bare = seen.open_weight > LEAST_OPEN
     count, labels = cv2.connectedComponents((region > 0.5).astype(np.uint8), connectivity=4)
