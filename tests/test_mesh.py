@@ -82,7 +82,7 @@ def test_obstacles_are_listed_with_their_measures() -> None:
     u = np.maximum.reduce(
         [block(-0.15, 0.03, 0.2, 0.06), ball(0.15, 0.0, 0.1, 0.08), ball(0.0, -0.1, 0.1, 0.012)]
     )
-    box, sphere = find_obstacles(u, GRID)
+    box, sphere = find_obstacles(u, GRID, smallest_m3=2e-5)
     assert (box.id, sphere.id) == (0, 1)
     assert box.height_m == pytest.approx(0.2, abs=1e-3)
     assert box.volume_m3 == pytest.approx(0.12 * 0.12 * 0.2, rel=0.03)
