@@ -126,7 +126,7 @@ def place_all(
 
     Columns are those of :class:`Placement`; NaN where the matches do not lie on the ground.
     """
-    inverse = [np.linalg.inv(camera.matrix).astype(np.float64) for camera in cameras]
+    inverse = [camera.inverse for camera in cameras]
     ground = [
         ground_from_pixel(m.tilt, m.roll, m.height, k) for m, k in zip(mounts, inverse, strict=True)
     ]

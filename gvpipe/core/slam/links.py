@@ -62,8 +62,8 @@ def matches_of(links: Sequence[Link], at_most: int | None = None) -> Matches:
     none = [np.empty((0, 2))]
     return Matches(
         np.cumsum([0, *map(len, points_i)], dtype=np.int64),
-        np.concatenate(points_i + none).astype(np.float64),
-        np.concatenate(points_j + none).astype(np.float64),
+        np.concatenate(points_i + none).astype(np.float64, copy=False),
+        np.concatenate(points_j + none).astype(np.float64, copy=False),
     )
 
 

@@ -52,7 +52,7 @@ def place(
         Reweighted least squares; None if fewer than three matches lie below both horizons.
     """
     ground_i, ground_j = (
-        ground_from_pixel(m.tilt, m.roll, m.height, np.linalg.inv(c.matrix).astype(np.float64))
+        ground_from_pixel(m.tilt, m.roll, m.height, c.inverse)
         for c, m in zip(cameras, mounts, strict=True)
     )
     found = place_pair(
