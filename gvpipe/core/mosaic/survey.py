@@ -49,8 +49,8 @@ LIKE = 15.0
 FIT = 20.0
 """Colours closer than this to the ground's are ground."""
 
-COLOUR_WEIGHT = 0.33
-"""Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^3
+COLOUR_WEIGHT = 0.4
+"""Weight of a colour's log likelihood on the ground against one direction's vote: a colour e^2.5
 times rarer counts about as much as one view from a direction of its own."""
 
 SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
@@ -168,6 +168,7 @@ class _Surveyor:
         self.tiles = [c for c in corners if len(self._touching(c))]
 
     def run(self) -> Survey:
+        """Balance the exposures, learn the ground's colours, then judge the views tile by tile."""
         spots = in_order(self._spots, self.tiles, self.jobs)
         exposure = self._balance([s for s in spots if len(s)])
         tallies = in_order(lambda t: self._tally(t, exposure), self.tiles, self.jobs)
