@@ -28,7 +28,7 @@ def photographed(pixels: Float, camera: Camera, distortion: tuple[float, ...]) -
     """
     if not len(pixels) or not any(distortion):
         return np.array(pixels, dtype=np.float64)
-    inverse = np.asarray(np.linalg.inv(camera.matrix), dtype=np.float64)
+    inverse = camera.inverse
     rays = np.column_stack([apply(inverse, pixels), np.ones(len(pixels))])
     still = np.zeros(3)
     bent, _ = cv2.projectPoints(rays, still, still, np.eye(3), np.array(distortion))
@@ -39,7 +39,7 @@ def undistorted(pixels: Float, camera: Camera, distortion: tuple[float, ...]) ->
     """Where pixels (N, 2) of the photograph are in the undistorted image."""
     if not len(pixels) or not any(distortion):
         return np.array(pixels, dtype=np.float64)
-    inverse = np.asarray(np.linalg.inv(camera.matrix), dtype=np.float64)
+    inverse = camera.inverse
     bent = apply(inverse, pixels)
     rays = cv2.undistortPointsIter(
         bent[:, None], np.eye(3), np.array(distortion), np.eye(3), np.eye(3), _EXACT

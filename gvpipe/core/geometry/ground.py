@@ -117,7 +117,7 @@ def footprint(camera: Camera, mount: Mount, max_range: float, samples: int = 24)
     )
     rays = (
         np.column_stack([border, np.ones(len(border))])
-        @ np.linalg.inv(camera.matrix).T
+        @ camera.inverse.T
         @ robot_from_camera(mount).rotation.T
     )
     if (rays[:, 2] >= 0).all():

@@ -69,7 +69,7 @@ def ground_motion(homography: Float, camera_i: Camera, camera_j: Camera) -> Floa
     ValueError
         If the homography is singular or not finite.
     """
-    m = np.linalg.inv(camera_j.matrix) @ np.asarray(homography, np.float64) @ camera_i.matrix
+    m = camera_j.inverse @ np.asarray(homography, np.float64) @ camera_i.matrix
     if not np.isfinite(m).all():
         raise ValueError("the homography is not finite")
     singular = np.linalg.svd(m, compute_uv=False)
@@ -278,7 +278,7 @@ def motion_covariance(
     """
     side = np.linalg.svd(relative.normal[None])[2][1:]
     rotation, translation = relative.j_from_i.rotation, relative.j_from_i.translation
-    ray = np.column_stack([points_i, np.ones(len(points_i))]) @ np.linalg.inv(camera_i.matrix).T
+    ray = np.column_stack([points_i, np.ones(len(points_i))]) @ camera_i.inverse.T
     turned = ray @ rotation.T
     below = ray @ relative.normal / height
     # changes of the rays in camera j by each parameter, (8, N, 3)

@@ -28,6 +28,7 @@ HOPE = 0.4
 """Correlation by which views to come may exceed the best one so far."""
 
 ONE = np.uint64(1)
+"""Added to an unsigned index, keeps it unsigned."""
 
 FACING = 0.15
 """Least cosine between a plane's normal and the line of sight."""
@@ -70,8 +71,8 @@ def _correlation(
 ) -> float:  # fmt: skip
     """Weighted normalised correlation of a patch with its image under a plane's homography.
 
-    The homography, ``infinite + shift plane^T``, is taken as affine over the patch: exact to a
-    hundredth of a pixel there.
+    The homography, ``infinite + shift plane^T``, is taken as affine over the patch. Its corners
+    are then off by 0.02 pixels as a rule, by 0.1 on planes 60 degrees from facing the camera.
     """
     a, b, c = plane
     m00, m01 = infinite[0, 0] + shift[0] * a, infinite[0, 1] + shift[0] * b

@@ -9,7 +9,6 @@ is on ground that views from several sides agree on.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +26,7 @@ from gvpipe.core.mosaic.raster import (
     max_depth,
     place,
 )
+from gvpipe.core.mosaic.smoothing import mean_around, smooth_light
 from gvpipe.core.mosaic.tiles import in_order
 from gvpipe.core.types import Float, PosedView
 
@@ -58,10 +58,6 @@ SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
 
 MAX_SPOTS = 60_000
 """Spots in the estimate of exposures: some hundred for each of hundreds of views."""
-
-LIGHT_CELLS = 2.0
-"""Deviation of the smoothing of the light, cells: its steps at the edges of views become too
-gentle to see."""
 
 LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
@@ -193,7 +189,7 @@ class _Surveyor:
             exposure,
             tuple(maps),
             tuple(s.border for s in self.sights),
-            _smooth_light(light),
+            smooth_light(light),
             evidence,
             covered * self.cells.resolution**2,
         )
@@ -332,7 +328,7 @@ class _Surveyor:
             colours, weights, support = self._vote(look, exposure)
             seen = look.radii >= 0
             known = likelihood[colour_bins(colours)]
-            support = _smooth(support + COLOUR_WEIGHT * known, seen)
+            support = mean_around(support + COLOUR_WEIGHT * known, seen, MARGIN)
             kernels.agree(colours, look.radii, support, LIKE, FIT, clean)
             kernels.median_light(self._brightness(look, exposure), clean, CLEAN_SHARE, light)
             # one direction alone cannot tell ground from the side of an obstacle; its colour helps
@@ -347,24 +343,3 @@ class _Surveyor:
 def _shift(column: int, row: int) -> Float:
     """Matrix from pixels of a part to those of the whole."""
     return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
-
-
-def _smooth(values: Single, seen: NDArray[np.bool_]) -> Single:
-    """Mean over the seen cells around each cell, view by view; (h, w, n)."""
-    size = (2 * MARGIN + 1, 2 * MARGIN + 1)
-    out = np.empty_like(values)
-    for k in range(values.shape[2]):
-        here = np.ascontiguousarray(seen[..., k], dtype=np.float32)
-        filled = np.where(seen[..., k], values[..., k], np.float32(0.0))
-        share = np.maximum(cv2.blur(here, size), np.float32(1e-6))
-        out[..., k] = cv2.blur(filled, size) / share
-    return out
-
-
-def _smooth_light(light: Single) -> Single:
-    """Gaussian mean of the known cells around each cell; 1 where none is."""
-    known = np.isfinite(light).astype(np.float32)
-    size = (0, 0)
-    share = cv2.GaussianBlur(known, size, LIGHT_CELLS)
-    total = cv2.GaussianBlur(np.where(known > 0, light, np.float32(0.0)), size, LIGHT_CELLS)
-    return np.divide(total, share, out=np.ones_like(light), where=share > 1e-6)

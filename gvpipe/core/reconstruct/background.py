@@ -181,7 +181,7 @@ def _aim(view: PosedView) -> Float:
 
 def upward_rays(view: PosedView) -> Float:
     """(3,) numbers whose product with (u, v, 1) is the upward component of a pixel's ray."""
-    return np.asarray(view.map_from_camera.rotation[2] @ np.linalg.inv(view.camera.matrix))
+    return np.asarray(view.map_from_camera.rotation[2] @ view.camera.inverse)
 
 
 def reduction(view: PosedView) -> int:

@@ -136,7 +136,7 @@ def entry_depth(inside: Bool, grid: VoxelGrid, view: PosedView) -> Volume:
     """Depth, (H, W) float32 metres, at which a view's rays enter the voxels; else infinite."""
     depth = np.empty((view.camera.height, view.camera.width), np.float32)
     pose = view.map_from_camera
-    map_from_ray = pose.rotation @ np.linalg.inv(view.camera.matrix)
+    map_from_ray = pose.rotation @ view.camera.inverse
     cast_depth(inside, grid.origin, grid.spacing, map_from_ray, pose.translation, depth)
     return depth
 

@@ -65,7 +65,7 @@ def _side(found: DepthMap) -> NDArray[np.float32]:
     """Confidence that a depth is above the ground, less that it is in it."""
     pose, camera = found.view.map_from_camera, found.view.camera
     v, u = np.nonzero(found.confidence)
-    rays = np.linalg.inv(camera.matrix) @ np.stack([u, v, np.ones_like(u)])
+    rays = camera.inverse @ np.stack([u, v, np.ones_like(u)])
     height = pose.rotation[2] @ rays * found.depth[v, u] + pose.translation[2]
     relative = height / pose.translation[2]
     side = np.zeros(found.depth.shape, np.float32)

@@ -77,7 +77,7 @@ def render(
 
 def _ground_nearness(camera: Camera, map_from_camera: Pose) -> NDArray[np.float64]:
     """One over the depth of the ground at each pixel, zero above the horizon."""
-    ray_z: Float = map_from_camera.rotation[2] @ np.linalg.inv(camera.matrix)
+    ray_z: Float = map_from_camera.rotation[2] @ camera.inverse
     u, v = np.arange(camera.width)[None, :], np.arange(camera.height)[:, None]
     down = -(ray_z[0] * u + ray_z[1] * v + ray_z[2])
     # a hair less near than it is, so that faces on the ground win

@@ -87,7 +87,7 @@ def depth_maps(
         if len(sources) < 2 or not np.isfinite(near[index]).any():
             return depth, cost
         to_source = [_from_reference(view, views[s]) for s in sources]
-        inverse = np.ascontiguousarray(np.linalg.inv(view.camera.matrix))
+        inverse = view.camera.inverse
         match_depths(
             index,
             sources,
@@ -148,7 +148,7 @@ def _confirmed(
     view, depth = views[index], depths[index]
     v, u = np.nonzero(depth)
     rays = np.stack([u, v, np.ones_like(u)]) * depth[v, u]
-    points = np.linalg.inv(view.camera.matrix) @ rays
+    points = view.camera.inverse @ rays
     count = np.zeros(len(u))
     for other, seen in zip(views, depths, strict=True):
         if other is view:

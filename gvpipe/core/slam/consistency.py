@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gvpipe.core.kernels.links import grow_map
+from gvpipe.core.kernels.growth import grow_map
 from gvpipe.core.slam.fronts import Blocks, Dissection, Factor
 from gvpipe.core.slam.placements import Index, Mask, Placements, disagreements, turned, wrapped
 from gvpipe.core.types import Float

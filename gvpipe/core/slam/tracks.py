@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gvpipe.core.kernels.links import gathered_cells
+from gvpipe.core.kernels.cells import gathered_cells
 from gvpipe.core.slam.links import Matches
 from gvpipe.core.types import Float
 

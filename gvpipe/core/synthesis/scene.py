@@ -156,7 +156,7 @@ def _rays(
             pixels[:, None], k, np.array(distortion), np.eye(3), k, steps
         )
         pixels = np.asarray(rectified[:, 0])
-    rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(camera.matrix).T
+    rays = np.column_stack([pixels, np.ones(len(pixels))]) @ camera.inverse.T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return np.ascontiguousarray(rays @ map_from_camera.rotation.T)
 
