@@ -80,14 +80,19 @@ def log_support(
     silhouettes: Sequence[Silhouette],
     grid: VoxelGrid,
     floor: float,
+    enough: float = -np.inf,
 ) -> tuple[Volume, NDArray[np.uint8]]:
-    """Sum of the log probabilities of all views that can judge a voxel, and their number."""
+    """Sum of the log probabilities of all views that can judge a voxel, and their number.
+
+    Views are no longer asked about voxels whose sum has fallen below `enough`.
+    """
     log_sum = np.zeros(grid.shape, np.float32)
     count = np.zeros(grid.shape, np.uint8)
     for view, silhouette in zip(views, silhouettes, strict=True):
         add_view_evidence(
-            silhouette, pixel_from_map(view), grid.origin, grid.spacing, floor, log_sum, count
-        )
+            silhouette, pixel_from_map(view), grid.origin, grid.spacing, floor, enough,
+            log_sum, count,
+        )  # fmt: skip
     return log_sum, count
 
 
