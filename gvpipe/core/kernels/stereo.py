@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.kernels.slanted import Triple, WORST, centred_patches, dot, slanted_cost
+from gvpipe.core.kernels.slanted import WORST, Triple, centred_patches, dot, slanted_cost
 from gvpipe.core.types import Float
 
 Single = NDArray[np.float32]
@@ -129,7 +129,7 @@ def match_depths(
     """
     height, width = depth.shape
     number, values, weights, variance = centred_patches(pictures[view], near, far)
-    flat, stride = pictures.reshape(len(pictures), -1), pictures.shape[2]
+    flat, area, stride = pictures.ravel(), pictures[0].size, pictures.shape[2]
     upright = (up[0], up[1], up[2])
     state = np.empty(1, np.uint64)
     state[0] = np.uint64(88172645463325252 + view)
@@ -174,8 +174,8 @@ def match_depths(
                         continue
                     n = _unit(n)
                     c = slanted_cost(
-                        flat, stride, sizes, sources, infinite, shifts, inverse,
-                        u, v, d, ray, n, values[p], weights[p], variance[p], best,
+                        flat, area, stride, sizes, sources, infinite, shifts, inverse,
+                        u, v, d, ray, n, p, values, weights, variance[p], best,
                     )  # fmt: skip
                     if c < best:
                         best, best_depth = c, d
@@ -195,8 +195,8 @@ def match_depths(
             for k in range(RIVALS):
                 d = depth[v, u] * (1.0 + RIVAL_STEP * (k - RIVALS // 2 + (k >= RIVALS // 2)))
                 c = slanted_cost(
-                    flat, stride, sizes, sources, infinite, shifts, inverse,
-                    u, v, d, ray, n, values[p], weights[p], variance[p], limit,
+                    flat, area, stride, sizes, sources, infinite, shifts, inverse,
+                    u, v, d, ray, n, p, values, weights, variance[p], limit,
                 )  # fmt: skip
                 if c < limit:
                     cost[v, u] = WORST

@@ -20,7 +20,7 @@ from gvpipe.core.reconstruct.hull import (
 )
 from gvpipe.core.reconstruct.slabs import Slabs, thin_slabs
 from gvpipe.core.reconstruct.stereo import DepthMap, depth_maps, work_view
-from gvpipe.core.types import Image, PosedView
+from gvpipe.core.types import Float, Image, PosedView
 
 __all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_from_map"]
 
@@ -62,9 +62,19 @@ def hull_probability(
     probability : (nx, ny, nz) float32
         In 0..1.
     """
-    most = FAILING_SHARE * max(len(views) - SURE_VIEWS, 0)
+    return _hull([pixel_from_map(v) for v in views], silhouettes, grid, options)
+
+
+def _hull(
+    matrices: Sequence[Float],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    options: EvidenceOptions,
+) -> Volume:
+    """Do the same for views given by their projections."""
+    most = FAILING_SHARE * max(len(matrices) - SURE_VIEWS, 0)
     enough = np.log(NIL) + np.log(options.view_floor) * most
-    log_sum, count = log_support(views, silhouettes, grid, options.view_floor, enough)
+    log_sum, count = log_support(matrices, silhouettes, grid, options.view_floor, enough=enough)
     failing = FAILING_SHARE * np.maximum(count.astype(np.float32) - SURE_VIEWS, 0)
     probability = np.exp(np.minimum(log_sum - np.log(options.view_floor) * failing, 0))
     probability[count < options.min_views] = 0.0
@@ -107,33 +117,39 @@ def data_terms(
     """
     f, g = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
     pictures = [np.ascontiguousarray(v.pixels) for v in views]
+    matrices = [pixel_from_map(v) for v in views]
     parts = thin_slabs(grid.shape)
 
     def weigh(bounds: tuple[int, int]) -> None:
         part, slab = grid.part(*bounds), slice(*bounds)
-        f[slab] = 0.5 - hull_probability(views, silhouettes, part, options)
-        consent = _consent(views, pictures, part, options)
+        f[slab] = 0.5 - _hull(matrices, silhouettes, part, options)
+        consent = _consent(matrices, pictures, part, options)
         np.maximum(1.0 - consent, np.float32(options.area_floor), out=g[slab])
 
     with Slabs(jobs) as slabs:
         slabs.map(weigh, parts)
         maps = _depths(views, silhouettes, grid, f < 0, options, slabs)
         band = max(LEAST_BAND_M, BAND_VOXELS * float(grid.spacing.max()))
-        slabs.map(lambda bounds: _vote(maps, grid.part(*bounds), band, f[slice(*bounds)]), parts)
+        small = [pixel_from_map(m.view) for m in maps]
+
+        def correct(bounds: tuple[int, int]) -> None:
+            _vote(small, maps, grid.part(*bounds), band, f[slice(*bounds)])
+
+        slabs.map(correct, parts)
     return f, g
 
 
 def _consent(
-    views: Sequence[PosedView],
+    matrices: Sequence[Float],
     pictures: Sequence[Image],
     grid: VoxelGrid,
     options: EvidenceOptions,
 ) -> Volume:
     """How well the views agree about the colour of each voxel, 0..1."""
     nx, ny, nz = grid.shape
-    samples = np.empty((len(views), nx, ny, 4, nz), np.uint8)
-    for view, picture, out in zip(views, pictures, samples, strict=True):
-        sample_colours(picture, pixel_from_map(view), grid.origin, grid.spacing, out)
+    samples = np.empty((len(matrices), nx, ny, 4, nz), np.uint8)
+    for matrix, picture, out in zip(matrices, pictures, samples, strict=True):
+        sample_colours(picture, matrix, grid.origin, grid.spacing, out)
     consent = np.empty(grid.shape, np.float32)
     photo_consistency(samples, options.consistency_scale, options.min_views, consent)
     return consent
@@ -150,7 +166,7 @@ def _depths(
     """Match the views' texture behind the hull, where no other obstacle hides it."""
     small = [work_view(v) for v in views]
     coarse = search_grid(views)
-    others = tolerant_hull(views, silhouettes, coarse, options, REGION_TOLERANCE)
+    others = tolerant_hull(views, silhouettes, coarse, options, REGION_TOLERANCE, jobs=slabs.jobs)
     low, high = (coarse.index_from_map(corner) for corner in (grid.lower, grid.upper))
     (i0, j0, _), (i1, j1, _) = np.maximum(np.floor(low), 0).astype(int), np.ceil(high).astype(int)
     others[i0 : i1 + 1, j0 : j1 + 1] = False
@@ -162,13 +178,15 @@ def _depths(
     return depth_maps(small, slabs.map(entry, small), (grid.lower + grid.upper) / 2, slabs.jobs)
 
 
-def _vote(maps: Sequence[DepthMap], grid: VoxelGrid, band: float, f: Volume) -> None:
+def _vote(
+    matrices: Sequence[Float], maps: Sequence[DepthMap], grid: VoxelGrid, band: float, f: Volume
+) -> None:
     """Correct the volume term inside the hull, in place, by the surfaces that views agree on."""
     hull = f < 0
     votes, weight = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
-    for m in maps:
+    for matrix, m in zip(matrices, maps, strict=True):
         fuse_depth(
-            m.depth, m.confidence, pixel_from_map(m.view), grid.origin, grid.spacing, band, hull,
+            m.depth, m.confidence, matrix, grid.origin, grid.spacing, band, hull,
             votes, weight,
         )  # fmt: skip
     free, trust = votes / np.maximum(weight, 1e-6), np.minimum(weight, 1)
@@ -176,7 +194,10 @@ def _vote(maps: Sequence[DepthMap], grid: VoxelGrid, band: float, f: Volume) -> 
 
 
 def find_regions(
-    views: Sequence[PosedView], silhouettes: Sequence[Silhouette], options: EvidenceOptions
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    options: EvidenceOptions,
+    jobs: int = 1,
 ) -> list[Region]:
     """Boxes of the map in which obstacles stand.
 
@@ -189,5 +210,5 @@ def find_regions(
         Largest first; empty if nothing stands on the ground.
     """
     grid = search_grid(views)
-    inside = tolerant_hull(views, silhouettes, grid, options, REGION_TOLERANCE)
+    inside = tolerant_hull(views, silhouettes, grid, options, REGION_TOLERANCE, jobs=jobs)
     return regions_of(inside, grid, MARGIN)
