@@ -131,6 +131,7 @@ def match_depths(
     number, values, weights, variance = centred_patches(pictures[view], near, far)
     flat, area, stride = pictures.ravel(), pictures[0].size, pictures.shape[2]
     upright = (up[0], up[1], up[2])
+    changed = np.zeros((height, width), np.int8)  # in which sweep, last
     state = np.empty(1, np.uint64)
     state[0] = np.uint64(88172645463325252 + view)
     for sweep in range(sweeps + 1):
@@ -160,6 +161,8 @@ def match_depths(
                         y, x = (v - step, u) if k == 0 else (v, u - step)
                         if not (0 <= y < height and 0 <= x < width and number[y, x] >= 0):
                             continue
+                        if sweep > 2 and changed[y, x] < sweep - 1:  # it was asked two sweeps ago
+                            continue
                         n = (float(normal[y, x, 0]), float(normal[y, x, 1]), float(normal[y, x, 2]))
                         d = depth[y, x] * _extended(n, ray, _ray(inverse, x, y))
                     else:
@@ -180,6 +183,7 @@ def match_depths(
                     if c < best:
                         best, best_depth = c, d
                         depth[v, u], cost[v, u] = d, c
+                        changed[v, u] = sweep
                         normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = n
                 if sweep == 0 and best >= WORST:
                     depth[v, u], cost[v, u] = best_depth, WORST
@@ -193,7 +197,8 @@ def match_depths(
             ray, limit = _ray(inverse, u, v), cost[v, u] + DISTINCT
             n = (float(normal[v, u, 0]), float(normal[v, u, 1]), float(normal[v, u, 2]))
             for k in range(RIVALS):
-                d = depth[v, u] * (1.0 + RIVAL_STEP * (k - RIVALS // 2 + (k >= RIVALS // 2)))
+                away = (k // 2 + 1) * (1 - k % 2 * 2)  # 1, -1, 2, -2, ...: the likeliest first
+                d = depth[v, u] * (1.0 + RIVAL_STEP * away)
                 c = slanted_cost(
                     flat, area, stride, sizes, sources, infinite, shifts, inverse,
                     u, v, d, ray, n, p, values, weights, variance[p], limit,
