@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.kernels.slanted import WORST, Triple, centred_patches, dot, slanted_cost
+from gvpipe.core.kernels.slanted import WORST, Index, Triple, centred_patches, dot, slanted_cost
 from gvpipe.core.types import Float
 
 Single = NDArray[np.float32]
@@ -188,19 +188,33 @@ def match_depths(
                 if sweep == 0 and best >= WORST:
                     depth[v, u], cost[v, u] = best_depth, WORST
                     normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = upright
+    _doubt(
+        flat, area, stride, sizes, sources, infinite, shifts, inverse, number, values, weights,
+        variance, depth, normal, cost,
+    )  # fmt: skip
+
+
+@kernel
+def _doubt(
+    pictures: Single, area: int, stride: int, sizes: NDArray[np.int64],
+    sources: NDArray[np.int64], infinite: Float, shifts: Float, inverse: Float,
+    number: Index, values: Single, weights: Single, variance: Float,
+    depth: Single, normal: Single, cost: Single,
+) -> None:  # fmt: skip
+    """Give up pixels that match nearly as well at other depths: smooth shading matches anywhere."""
+    height, width = depth.shape
     for v in range(height):
         for u in range(width):
             p = number[v, u]
             if p < 0 or cost[v, u] >= LIKE:
                 continue
-            # smooth shading matches anywhere: give up what matches nearly as well elsewhere
             ray, limit = _ray(inverse, u, v), cost[v, u] + DISTINCT
             n = (float(normal[v, u, 0]), float(normal[v, u, 1]), float(normal[v, u, 2]))
             for k in range(RIVALS):
                 away = (k // 2 + 1) * (1 - k % 2 * 2)  # 1, -1, 2, -2, ...: the likeliest first
                 d = depth[v, u] * (1.0 + RIVAL_STEP * away)
                 c = slanted_cost(
-                    flat, area, stride, sizes, sources, infinite, shifts, inverse,
+                    pictures, area, stride, sizes, sources, infinite, shifts, inverse,
                     u, v, d, ray, n, p, values, weights, variance[p], limit,
                 )  # fmt: skip
                 if c < limit:

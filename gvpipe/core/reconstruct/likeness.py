@@ -95,7 +95,7 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
     inverse_share = cv2.merge([once] * 3)
 
     def mean(values: Single) -> Single:
-        total = _blur(cv2.multiply(values, mask), WINDOW)
+        total = _blur(np.asarray(cv2.multiply(values, mask), np.float32), WINDOW)
         return np.asarray(cv2.multiply(total, inverse_share, total), np.float32)
 
     base_mean = mean(background)
