@@ -8,6 +8,9 @@ from gvpipe.core.kernels.slanted import WORST, Index, Triple, centred_patches, d
 from gvpipe.core.types import Float
 
 Single = NDArray[np.float32]
+State = NDArray[np.uint64]
+Plane = tuple[float, Triple]
+"""Depth along a ray, and the normal."""
 
 STARTS = 10
 """Random hypotheses every other pixel of every other row starts from; the rest hear of them."""
@@ -26,7 +29,7 @@ TRIES = 2
 
 
 @kernel
-def _random(state: NDArray[np.uint64]) -> float:
+def _random(state: State) -> float:
     """Uniform in 0..1 (xorshift64*): the same on every machine."""
     x = state[0]
     x ^= x >> np.uint64(12)
@@ -37,7 +40,7 @@ def _random(state: NDArray[np.uint64]) -> float:
 
 
 @kernel
-def _direction(state: NDArray[np.uint64]) -> Triple:
+def _direction(state: State) -> Triple:
     """Draw a uniform random unit vector."""
     z, angle = 2.0 * _random(state) - 1.0, 2.0 * np.pi * _random(state)
     r = np.sqrt(max(1.0 - z * z, 0.0))
@@ -45,7 +48,7 @@ def _direction(state: NDArray[np.uint64]) -> Triple:
 
 
 @kernel
-def _guess(k: int, state: NDArray[np.uint64], up: Triple, ray: Triple) -> Triple:
+def _guess(k: int, state: State, up: Triple, ray: Triple) -> Triple:
     """Draw a normal to start from: floors and tops, walls and any other surface in turn."""
     n = _direction(state)
     if k % 3 == 0:
@@ -80,22 +83,38 @@ def _extended(n: Triple, ray: Triple, there: Triple) -> float:
 
 
 @kernel
+def _normal(normal: Single, y: int, x: int) -> Triple:
+    return float(normal[y, x, 0]), float(normal[y, x, 1]), float(normal[y, x, 2])
+
+
+@kernel
+def _started(k: int, state: State, low: float, high: float, up: Triple, ray: Triple) -> Plane:
+    """Draw a depth and a normal to start from."""
+    d = low + (high - low) * _random(state)
+    return d, _guess(k, state, up, ray)
+
+
+@kernel
+def _inherited(y: int, x: int, depth: Single, normal: Single, inverse: Float, ray: Triple) -> Plane:
+    """Extend the plane of a neighbour, pixel (x, y), to a ray."""
+    n = _normal(normal, y, x)
+    return depth[y, x] * _extended(n, ray, _ray(inverse, x, y)), n
+
+
+@kernel
+def _varied(state: State, d: float, n: Triple, reach: float, scale: float) -> Plane:
+    """Draw a plane near another one."""
+    o = _direction(state)
+    tilted = (n[0] + scale * o[0], n[1] + scale * o[1], n[2] + scale * o[2])
+    return d + reach * (2 * _random(state) - 1), tilted
+
+
+@kernel
 def match_depths(
-    view: int,
-    sources: NDArray[np.int64],
-    pictures: Single,
-    sizes: NDArray[np.int64],
-    infinite: Float,
-    shifts: Float,
-    inverse: Float,
-    up: Float,
-    near: Single,
-    far: Single,
-    sweeps: int,
-    depth: Single,
-    normal: Single,
-    cost: Single,
-) -> None:
+    view: int, sources: NDArray[np.int64], pictures: Single, sizes: NDArray[np.int64],
+    infinite: Float, shifts: Float, inverse: Float, up: Float, near: Single, far: Single,
+    sweeps: int, depth: Single, normal: Single, cost: Single,
+) -> None:  # fmt: skip
     """Find the depth and the plane of each pixel that other views agree on best.
 
     Parameters
@@ -132,47 +151,34 @@ def match_depths(
     flat, area, stride = pictures.ravel(), pictures[0].size, pictures.shape[2]
     upright = (up[0], up[1], up[2])
     changed = np.zeros((height, width), np.int8)  # in which sweep, last
-    state = np.empty(1, np.uint64)
-    state[0] = np.uint64(88172645463325252 + view)
+    state = np.full(1, 88172645463325252 + view, np.uint64)
     for sweep in range(sweeps + 1):
-        scale = 0.5**sweep
-        forwards = sweep % 2 == 1
-        step = 1 if forwards else -1
+        scale, step = 0.5**sweep, 1 if sweep % 2 == 1 else -1
         for row in range(height):
-            v = row if forwards else height - 1 - row
+            v = row if step > 0 else height - 1 - row
             for column in range(width):
-                u = column if forwards else width - 1 - column
+                u = column if step > 0 else width - 1 - column
                 p = number[v, u]
                 if p < 0:
                     continue
-                low, high = near[v, u], far[v, u]
-                ray = _ray(inverse, u, v)
+                low, high, ray = near[v, u], far[v, u], _ray(inverse, u, v)
                 best, best_depth = WORST, 0.5 * (low + high)
+                tries = STARTS if u % 2 == 0 and v % 2 == 0 else 0
                 if sweep > 0:
-                    best, best_depth = cost[v, u], depth[v, u]
-                tries = STARTS if sweep == 0 else TRIES + 2
-                if sweep == 0 and (u + v) % 2 + v % 2 > 0:
-                    tries = 0
+                    best, best_depth, tries = cost[v, u], depth[v, u], TRIES + 2
                 for k in range(tries):
                     if sweep == 0:
-                        d = low + (high - low) * _random(state)
-                        n = _guess(k, state, upright, ray)
+                        d, n = _started(k, state, low, high, upright, ray)
                     elif k < 2:
                         y, x = (v - step, u) if k == 0 else (v, u - step)
                         if not (0 <= y < height and 0 <= x < width and number[y, x] >= 0):
                             continue
                         if sweep > 2 and changed[y, x] < sweep - 1:  # it was asked two sweeps ago
                             continue
-                        n = (float(normal[y, x, 0]), float(normal[y, x, 1]), float(normal[y, x, 2]))
-                        d = depth[y, x] * _extended(n, ray, _ray(inverse, x, y))
+                        d, n = _inherited(y, x, depth, normal, inverse, ray)
                     else:
-                        o = _direction(state)
-                        n = (
-                            normal[v, u, 0] + scale * o[0],
-                            normal[v, u, 1] + scale * o[1],
-                            normal[v, u, 2] + scale * o[2],
-                        )
-                        d = best_depth + 0.3 * scale * (high - low) * (2 * _random(state) - 1)
+                        reach = 0.3 * scale * (high - low)
+                        d, n = _varied(state, best_depth, _normal(normal, v, u), reach, scale)
                     if not low <= d <= high:
                         continue
                     n = _unit(n)
@@ -182,8 +188,7 @@ def match_depths(
                     )  # fmt: skip
                     if c < best:
                         best, best_depth = c, d
-                        depth[v, u], cost[v, u] = d, c
-                        changed[v, u] = sweep
+                        depth[v, u], cost[v, u], changed[v, u] = d, c, sweep
                         normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = n
                 if sweep == 0 and best >= WORST:
                     depth[v, u], cost[v, u] = best_depth, WORST
@@ -209,7 +214,7 @@ def _doubt(
             if p < 0 or cost[v, u] >= LIKE:
                 continue
             ray, limit = _ray(inverse, u, v), cost[v, u] + DISTINCT
-            n = (float(normal[v, u, 0]), float(normal[v, u, 1]), float(normal[v, u, 2]))
+            n = _normal(normal, v, u)
             for k in range(RIVALS):
                 away = (k // 2 + 1) * (1 - k % 2 * 2)  # 1, -1, 2, -2, ...: the likeliest first
                 d = depth[v, u] * (1.0 + RIVAL_STEP * away)
