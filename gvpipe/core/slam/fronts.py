@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.kernels.fronts import factor_fronts, marginal_fronts, solve_fronts
+from gvpipe.core.kernels.fronts import Tree, factor_fronts, marginal_fronts, solve_fronts
 from gvpipe.core.types import Float
 
 Index = NDArray[np.int64]
@@ -53,27 +53,6 @@ class Front:
     places: Index
     edges: Index
     flipped: Index
-
-
-@dataclass(frozen=True)
-class Tree:
-    """All fronts, laid out for the loops in :mod:`gvpipe.core.kernels.fronts`."""
-
-    own_first: Index
-    own: Index
-    bound_first: Index
-    bound: Index
-    child_first: Index
-    children: Index
-    slot_first: Index
-    slots: Index
-    place_first: Index
-    places: Index
-    edge_first: Index
-    edges: Index
-    flipped: Index
-    factor_first: Index
-    stack_size: int
 
 
 def _laid_out(fronts: list[Front]) -> Tree:
@@ -258,23 +237,8 @@ class Factor:
 
     def __init__(self, plan: Dissection, blocks: Blocks) -> None:
         self.plan = plan
-        tree = plan.tree
         definite, self._factors = factor_fronts(
-            plan.size,
-            plan.border,
-            tree.own_first,
-            tree.bound_first,
-            tree.child_first,
-            tree.children,
-            tree.slot_first,
-            tree.slots,
-            tree.place_first,
-            tree.places,
-            tree.edge_first,
-            tree.edges,
-            tree.flipped,
-            tree.factor_first,
-            tree.stack_size,
+            plan.tree,
             np.ascontiguousarray(blocks.diagonal),
             np.ascontiguousarray(blocks.between),
             np.ascontiguousarray(blocks.border),
@@ -285,35 +249,10 @@ class Factor:
 
     def solve(self, right: Float) -> Float:
         """Solve for right sides (S,) or (S, C)."""
-        tree = self.plan.tree
         x = right.reshape(len(right), -1).astype(np.float64)
-        solve_fronts(
-            tree.own_first,
-            tree.own,
-            tree.bound_first,
-            tree.bound,
-            tree.factor_first,
-            self._factors,
-            x,
-        )
+        solve_fronts(self.plan.tree, self._factors, x)
         return x.reshape(right.shape)
 
     def marginals(self) -> Float:
         """Blocks (N, S, S) of the inverse on its diagonal."""
-        tree = self.plan.tree
-        return np.asarray(
-            marginal_fronts(
-                self.plan.size,
-                tree.own_first,
-                tree.bound_first,
-                tree.child_first,
-                tree.children,
-                tree.slot_first,
-                tree.slots,
-                tree.place_first,
-                tree.places,
-                tree.factor_first,
-                self._factors,
-                2 * tree.stack_size,
-            )
-        )
+        return np.asarray(marginal_fronts(self.plan.size, self.plan.tree, self._factors))
