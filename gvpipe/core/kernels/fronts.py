@@ -40,7 +40,7 @@ class Tree(NamedTuple):
     place_first, places : (F + 1,) int64, (N,) int64
         Places that each front eliminates.
     edge_first, edges : (F + 1,) int64, (E, 3) int64
-        Block, and its column and row among the places of each front.
+        Block, and its row and column among the places of each front.
     flipped : (E,) int64
         1 where the block is added transposed.
     factor_first : (F + 1,) int64
@@ -142,10 +142,10 @@ def _assembled(
         matrix[edge:, edge:] = corner
     for e in range(tree.edge_first[front], tree.edge_first[front + 1]):
         block = between[tree.edges[e, 0]]
-        row, column = size * tree.edges[e, 2], size * tree.edges[e, 1]
+        row, column = size * tree.edges[e, 1], size * tree.edges[e, 2]
         for a in range(size):
             for b in range(size):
-                matrix[row + a, column + b] = block[a, b] if tree.flipped[e] else block[b, a]
+                matrix[row + a, column + b] = block[b, a] if tree.flipped[e] else block[a, b]
     return matrix
 
 
