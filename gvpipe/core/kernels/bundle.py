@@ -99,6 +99,70 @@ def evaluate(
 
 
 @kernel
+def _differentiate(
+    projection: Float, turned: Float, centre: Float, x: float, y: float, jc: Float, jp: Float
+) -> tuple[bool, float, float]:
+    """Derivatives of a projected point by the unknowns of its camera and by its place.
+
+    Returns whether the point lies in front, and its pixel.
+    """
+    g, z = projection, -centre[2]
+    x, y = x - centre[0], y - centre[1]
+    w = g[2, 0] * x + g[2, 1] * y + g[2, 2] * z
+    depth = max(w, MIN_DEPTH)
+    u = (g[0, 0] * x + g[0, 1] * y + g[0, 2] * z) / depth
+    v = (g[1, 0] * x + g[1, 1] * y + g[1, 2] * z) / depth
+    for q in range(2):
+        jp[0, q] = (g[0, q] - u * g[2, q]) / depth
+        jp[1, q] = (g[1, q] - v * g[2, q]) / depth
+        jc[0, q], jc[1, q] = -jp[0, q], -jp[1, q]
+    for q in range(3):
+        h = turned[q]
+        by_w = h[2, 0] * x + h[2, 1] * y + h[2, 2] * z
+        jc[0, 2 + q] = (h[0, 0] * x + h[0, 1] * y + h[0, 2] * z - u * by_w) / depth
+        jc[1, 2 + q] = (h[1, 0] * x + h[1, 1] * y + h[1, 2] * z - v * by_w) / depth
+    jc[0, 5] = (g[0, 2] - u * g[2, 2]) / depth * z
+    jc[1, 5] = (g[1, 2] - v * g[2, 2]) / depth * z
+    return w >= MIN_DEPTH, u, v
+
+
+@kernel
+def _reduce(
+    camera: Index,
+    pair_block: Index,
+    w: float,
+    jc: Float,
+    inverse: Float,
+    point_gradient: Float,
+    coupling: Float,
+    blocks: Float,
+    gradient: Float,
+) -> None:
+    """Add what one point says about its cameras, the point eliminated, to their system."""
+    reduced = np.empty((6, 2))
+    pair = 0
+    for a in range(len(camera)):
+        own, total = blocks[pair_block[pair]], gradient[camera[a]]
+        for p in range(6):
+            c0, c1 = coupling[a, p, 0], coupling[a, p, 1]
+            reduced[p, 0] = c0 * inverse[0, 0] + c1 * inverse[1, 0]
+            reduced[p, 1] = c0 * inverse[0, 1] + c1 * inverse[1, 1]
+            total[p] -= reduced[p, 0] * point_gradient[0] + reduced[p, 1] * point_gradient[1]
+            j0, j1 = w * jc[a, 0, p], w * jc[a, 1, p]
+            for q in range(p, 6):
+                own[p, q] += j0 * jc[a, 0, q] + j1 * jc[a, 1, q]
+                own[p, q] -= reduced[p, 0] * coupling[a, q, 0] + reduced[p, 1] * coupling[a, q, 1]
+        pair += 1
+        for b in range(a + 1, len(camera)):
+            block = blocks[pair_block[pair]]
+            for p in range(6):
+                r0, r1 = reduced[p, 0], reduced[p, 1]
+                for q in range(6):
+                    block[p, q] -= r0 * coupling[b, q, 0] + r1 * coupling[b, q, 1]
+            pair += 1
+
+
+@kernel
 def linearise(
     projection: Float,
     turned: Float,
@@ -124,9 +188,10 @@ def linearise(
     Parameters
     ----------
     pair_block : (P,) int64
-        Block of each pair of observations of a point, in the order of the loops below.
+        Block of each pair of observations of a point, first <= second, the second fastest.
     blocks : (B, 6, 6) float64
-        Output, zero on entry: upper blocks of the reduced normal matrix.
+        Output, zero on entry: blocks of the reduced normal matrix, rows of the first camera,
+        columns of the second; of those on the diagonal the upper half.
     gradient : (N, 6) float64
         Output, zero on entry: reduced gradient (derivative of half the cost).
     coupling : (M, 6, 2) float64
@@ -142,80 +207,52 @@ def linearise(
     longest = 0
     for t in range(len(start) - 1):
         longest = max(longest, start[t + 1] - start[t])
-    jc = np.zeros((longest, 2, 6))
-    jp = np.zeros((2, 2))
-    reduced = np.zeros((6, 2))
+    jc, jp = np.zeros((longest, 2, 6)), np.zeros((2, 2))
     pair = 0
     for t in range(len(start) - 1):
-        first, count = start[t], start[t + 1] - start[t]
-        bound = loss_px * loss_px * (count - 1)
+        first, last = start[t], start[t + 1]
+        bound = loss_px * loss_px * (last - first - 1)
         total = misfit(projection, centre, camera, pixel, start, weight, points, t)
         track_weight = weight[t] / (1.0 + total / bound)
-        v00, v01, v11 = 0.0, 0.0, 0.0
-        g0, g1 = 0.0, 0.0
-        pair_first = pair
-        for a in range(count):
-            k = first + a
-            i = camera[k]
-            g = projection[i]
-            d = np.array([points[t, 0] - centre[i, 0], points[t, 1] - centre[i, 1], -centre[i, 2]])
-            y0 = g[0, 0] * d[0] + g[0, 1] * d[1] + g[0, 2] * d[2]
-            y1 = g[1, 0] * d[0] + g[1, 1] * d[1] + g[1, 2] * d[2]
-            y2 = g[2, 0] * d[0] + g[2, 1] * d[1] + g[2, 2] * d[2]
-            seen = y2 >= MIN_DEPTH
-            y2 = max(y2, MIN_DEPTH)
-            u, v = y0 / y2, y1 / y2
-            r0, r1 = u - pixel[k, 0], v - pixel[k, 1]
-            w = track_weight if seen else 0.0
-            for q in range(2):
-                jp[0, q] = (g[0, q] - u * g[2, q]) / y2
-                jp[1, q] = (g[1, q] - v * g[2, q]) / y2
-                jc[a, 0, q] = -jp[0, q]
-                jc[a, 1, q] = -jp[1, q]
-            for q in range(3):
-                h = turned[i, q]
-                z0 = h[0, 0] * d[0] + h[0, 1] * d[1] + h[0, 2] * d[2]
-                z1 = h[1, 0] * d[0] + h[1, 1] * d[1] + h[1, 2] * d[2]
-                z2 = h[2, 0] * d[0] + h[2, 1] * d[1] + h[2, 2] * d[2]
-                jc[a, 0, 2 + q] = (z0 - u * z2) / y2
-                jc[a, 1, 2 + q] = (z1 - v * z2) / y2
-            jc[a, 0, 5] = -(g[0, 2] - u * g[2, 2]) / y2 * centre[i, 2]
-            jc[a, 1, 5] = -(g[1, 2] - v * g[2, 2]) / y2 * centre[i, 2]
+        v00, v01, v11, g0, g1 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(first, last):
+            i, j = camera[k], jc[k - first]
+            seen, u, v = _differentiate(
+                projection[i], turned[i], centre[i], points[t, 0], points[t, 1], j, jp
+            )
+            w = track_weight
+            if not seen:
+                w, j[:] = 0.0, 0.0
+            r0, r1 = w * (u - pixel[k, 0]), w * (v - pixel[k, 1])
             v00 += w * (jp[0, 0] * jp[0, 0] + jp[1, 0] * jp[1, 0])
             v01 += w * (jp[0, 0] * jp[0, 1] + jp[1, 0] * jp[1, 1])
             v11 += w * (jp[0, 1] * jp[0, 1] + jp[1, 1] * jp[1, 1])
-            g0 += w * (jp[0, 0] * r0 + jp[1, 0] * r1)
-            g1 += w * (jp[0, 1] * r0 + jp[1, 1] * r1)
-            own = pair_block[pair]
+            g0 += jp[0, 0] * r0 + jp[1, 0] * r1
+            g1 += jp[0, 1] * r0 + jp[1, 1] * r1
             for p in range(6):
-                gradient[i, p] += w * (jc[a, 0, p] * r0 + jc[a, 1, p] * r1)
+                gradient[i, p] += j[0, p] * r0 + j[1, p] * r1
                 for q in range(2):
-                    coupling[k, p, q] = w * (jc[a, 0, p] * jp[0, q] + jc[a, 1, p] * jp[1, q])
-                for q in range(6):
-                    blocks[own, p, q] += w * (jc[a, 0, p] * jc[a, 0, q] + jc[a, 1, p] * jc[a, 1, q])
-            pair += count - a
+                    coupling[k, p, q] = w * (j[0, p] * jp[0, q] + j[1, p] * jp[1, q])
         determinant = v00 * v11 - v01 * v01
         i00, i01, i11 = 0.0, 0.0, 0.0
         if determinant > 0.0:
             i00, i01, i11 = v11 / determinant, -v01 / determinant, v00 / determinant
-        point_inverse[t, 0, 0], point_inverse[t, 1, 1] = i00, i11
-        point_inverse[t, 0, 1] = point_inverse[t, 1, 0] = i01
-        point_gradient[t, 0], point_gradient[t, 1] = g0, g1
-        pair = pair_first
-        for a in range(count):
-            i = camera[first + a]
-            w = coupling[first + a]
-            for p in range(6):
-                reduced[p, 0] = w[p, 0] * i00 + w[p, 1] * i01
-                reduced[p, 1] = w[p, 0] * i01 + w[p, 1] * i11
-                gradient[i, p] -= reduced[p, 0] * g0 + reduced[p, 1] * g1
-            for b in range(a, count):
-                other = coupling[first + b]
-                block = blocks[pair_block[pair]]
-                for p in range(6):
-                    for q in range(6):
-                        block[p, q] -= reduced[p, 0] * other[q, 0] + reduced[p, 1] * other[q, 1]
-                pair += 1
+        inverse, pull = point_inverse[t], point_gradient[t]
+        inverse[0, 0], inverse[0, 1], inverse[1, 0], inverse[1, 1] = i00, i01, i01, i11
+        pull[0], pull[1] = g0, g1
+        pairs = (last - first) * (last - first + 1) // 2
+        _reduce(
+            camera[first:last],
+            pair_block[pair : pair + pairs],
+            track_weight,
+            jc,
+            inverse,
+            pull,
+            coupling[first:last],
+            blocks,
+            gradient,
+        )
+        pair += pairs
 
 
 @kernel

@@ -236,19 +236,19 @@ def _seen_from(origin: Float, planar: Float) -> Float:
 
 def _looked_at(rig: Rig, cameras: Float) -> Float:
     """Ground (N, 2) in the middle of what each camera sees well: what is linked lies near."""
-    axis = orientation(rig, cameras)[0][:, 2]
+    axis = orientation(rig, cameras)[:, 2]
     reach = np.minimum(-1.0 / np.minimum(axis[:, 2], -1e-9), WELL_SEEN)
     return np.asarray(cameras[:, :2] + axis[:, :2] * (reach * rig.height)[:, None])
 
 
 def _turn(rig: Rig, cameras: Float) -> Float:
     """Rotation (3, 3) about the vertical that brings the axis of camera 0 to x."""
-    angle = -yaw_tilt_roll(orientation(rig, cameras)[0][0].T)[0]
+    angle = -yaw_tilt_roll(orientation(rig, cameras)[0].T)[0]
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _poses(rig: Rig, cameras: Float, turn: Float) -> list[Pose]:
     """Poses in a frame turned about the vertical."""
-    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
+    rotation = orientation(rig, cameras).transpose(0, 2, 1)
     return [Pose(turn @ r, turn @ t) for r, t in zip(rotation, centres(rig, cameras), strict=True)]
