@@ -10,7 +10,16 @@ from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import matches_of
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled, turning
+from gvpipe.core.slam.rig import (
+    Rig,
+    Spread,
+    State,
+    centres,
+    orientation,
+    pose_jacobians,
+    rescaled,
+    turning,
+)
 from gvpipe.core.slam.tracks import cell_tracks, chain_matches
 from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
@@ -188,7 +197,7 @@ def test_cells_of_matches_say_what_the_matches_say() -> None:
     scene = make_scene({"A": arc_path(2)}, rng, density=300.0, wrong_matches=0.02)
     [link] = scene.links
     ends, matches = np.array([[1, 0]]), matches_of([link])
-    tracks = cell_tracks(ends, matches, link.homography[None])
+    tracks = cell_tracks(ends, matches, np.array([0]), link.homography[None])
     assert len(tracks.weight) <= 16
     assert (tracks.camera.reshape(-1, 2) == [0, 1]).all()
     good = transfer_errors(link.homography, link.points_i, link.points_j) < 3.0

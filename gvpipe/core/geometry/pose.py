@@ -24,11 +24,18 @@ def robot_from_camera(mount: Mount) -> Pose:
     The optical axis becomes ``(cos tilt, 0, -sin tilt)``. Roll turns the camera about its optical
     axis first, clockwise seen from behind: from x (right) towards y (down).
     """
-    c, s = np.cos(mount.tilt), np.sin(mount.tilt)
-    level = np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
-    cr, sr = np.cos(mount.roll), np.sin(mount.roll)
-    about_axis = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
-    return Pose(level @ about_axis, np.array([0.0, 0.0, mount.height]))
+    [rotation] = upright(np.array([mount.tilt]), np.array([mount.roll]))
+    return Pose(rotation, np.array([0.0, 0.0, mount.height]))
+
+
+def upright(tilt: Float, roll: Float) -> Float:
+    """Rotations (N, 3, 3) of :func:`robot_from_camera` of tilts and rolls (N,), radians."""
+    c, s, cr, sr = np.cos(tilt), np.sin(tilt), np.cos(roll), np.sin(roll)
+    out = np.zeros((len(tilt), 3, 3))
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = -s * sr, -s * cr, c
+    out[:, 1, 0], out[:, 1, 1] = -cr, sr
+    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = -c * sr, -c * cr, -s
+    return out
 
 
 def yaw_tilt_roll(map_from_camera: Float) -> tuple[float, float, float]:

@@ -102,7 +102,7 @@ def evaluate(
 def _differentiate(
     projection: Float, turned: Float, centre: Float, x: float, y: float, jc: Float, jp: Float
 ) -> tuple[bool, float, float]:
-    """Derivatives of a projected point by the unknowns of its camera and by its place.
+    """Differentiate a projected point by the unknowns of its camera and by its place.
 
     Returns whether the point lies in front, and its pixel.
     """

@@ -100,14 +100,19 @@ def place_pair(
 
 @kernel
 def place_links(
-    start: Index, p: Float, q: Float, ends: Index, ground: Float, height: Float, rounds: int
+    start: Index, p: Float, q: Float, ends: Index, mount: Float, inverse: Float, rounds: int
 ) -> Float:
-    """Placements (E, 7) of all links, see :func:`place_pair`; `ground` (N, 3, 3) by image."""
-    out = np.empty((len(ends), 7))
+    """Placements (E, 7) of all links, see :func:`place_pair`.
+
+    Tilt, roll and height `mount` (N, 3) and inverse calibrations (N, 3, 3) are by image.
+    """
+    out, ground = np.empty((len(ends), 7)), np.empty((len(mount), 3, 3))
+    for k in range(len(mount)):
+        ground[k] = ground_from_pixel(mount[k, 0], mount[k, 1], mount[k, 2], inverse[k])
     for e in range(len(ends)):
         i, j = ends[e, 0], ends[e, 1]
         here = slice(start[e], start[e + 1])
-        out[e] = place_pair(p[here], q[here], ground[i], ground[j], height[i], rounds)
+        out[e] = place_pair(p[here], q[here], ground[i], ground[j], mount[i, 2], rounds)
     return out
 
 
@@ -124,6 +129,7 @@ def fit_links(
     prior_weight: Float,
     losses: Float,
     steps: int,
+    gain: float,
 ) -> tuple[Float, Float]:
     """Two-view geometry of all links, from their placements on.
 
@@ -141,6 +147,8 @@ def fit_links(
         Loss scales of the descents, one after the other, pixels.
     steps : int
         Most steps of a descent.
+    gain : float
+        Share of the cost gained in a step after which a descent ends.
 
     Returns
     -------
@@ -185,6 +193,7 @@ def fit_links(
                 whiten,
                 loss,
                 steps,
+                gain,
             )
         theta[e] = here
         h = pair_homography(here, inverse[i], matrix[j], mount[i, 2], mount[j, 2])

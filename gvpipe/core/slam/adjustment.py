@@ -207,9 +207,7 @@ def _noise(problem: Problem, state: State) -> tuple[float, float]:
 def _variances(problem: Problem, state: State, factor: Factor) -> Float:
     """Variances (N, 3) of the deviations from the robots' means, given data and present priors."""
     cameras, groups = len(state.cameras), len(state.means)
-    own, beside = marginal_covariances(
-        factor, problem.held, 6 * cameras + np.arange(3 * groups)
-    )
+    own, beside = marginal_covariances(factor, problem.held, 6 * cameras + np.arange(3 * groups))
     picked = 3 * problem.rig.group[:, None] + np.arange(3)
     mixed = beside[6 * np.arange(cameras)[:, None] + 3 + np.arange(3), picked]
     mean = np.diagonal(beside[6 * cameras :])[picked]

@@ -62,12 +62,13 @@ def _split(i: Index, j: Index, where: Float) -> tuple[Index, Index]:
         inside = (label_of[i] == label_of[j]) & (label_of[i] >= 0)
         i, j = i[inside], j[inside]
         sizes = np.bincount(label, minlength=count)
-        (side, cut, cost), other = (
+        (far_x, cut_x, cost_x), (far_y, cut_y, cost_y) = (
             _halved(members, label_of, sizes, where[:, axis], i, j) for axis in (0, 1)
         )
-        better = (other[2] < cost)[label]
-        side, cut = (np.where(better, b[members], a[members]) for a, b in zip((side, cut), other))
-        deeper = (sizes > LEAF) & (np.minimum(cost, other[2]) <= MAX_CUT * sizes)
+        by_y = (cost_y < cost_x)[label]
+        side = np.where(by_y, far_y[members], far_x[members])
+        cut = np.where(by_y, cut_y[members], cut_x[members])
+        deeper = (sizes > LEAF) & (np.minimum(cost_x, cost_y) <= MAX_CUT * sizes)
         down = deeper[label] & ~cut
         label = (2 * (np.cumsum(deeper) - 1)[label] + side)[down]
         members = members[down]
@@ -103,7 +104,7 @@ def _halved(
 
 
 def _children_first(left_in: Index, parent: Index) -> tuple[Index, Index]:
-    """Number sets anew such that each one's descendants come right before it."""
+    """Give sets new numbers, such that each one's descendants come right before it."""
     sizes = np.ones(len(parent), dtype=np.int64)
     for f in range(len(parent) - 1, 0, -1):
         sizes[parent[f]] += sizes[f]
@@ -188,7 +189,7 @@ def _touched(links: Index, parent: Index, place_first: Index, count: int) -> Ind
 def _unknowns(
     first: Index, places: Index, size: int, tail: Index, end: int | Index
 ) -> tuple[Index, Index]:
-    """Lists of unknowns from lists of places, with as many of the border, from `end` on, after."""
+    """List the unknowns of lists of places, with as many of the border, from `end` on, after."""
     lengths = np.diff(first)
     start = np.append(0, np.cumsum(size * lengths + tail))
     out = np.empty(start[-1], dtype=np.int64)

@@ -8,7 +8,16 @@ from gvpipe.core.kernels import bundle as kernels
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.fronts import Dissection, Factor
 from gvpipe.core.slam.normal import Normal
-from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, prior_cost, prior_normal, turning
+from gvpipe.core.slam.rig import (
+    Rig,
+    Spread,
+    State,
+    centres,
+    orientation,
+    prior_cost,
+    prior_normal,
+    turning,
+)
 from gvpipe.core.slam.tracks import Index, Tracks
 from gvpipe.core.types import Float
 
@@ -48,9 +57,7 @@ class Problem:
         # blocks on the diagonal have the numbers of their cameras, the others follow
         self._pair_block = tracks.camera[first].copy()
         self._pair_block[apart] = n + number
-        self._plan = Dissection(
-            linked // n, linked % n, self.where, size=6, border=3 * self.groups
-        )
+        self._plan = Dissection(linked // n, linked % n, self.where, size=6, border=3 * self.groups)
         self.held = 6 * reference + np.arange(3 if control is None else 0)
 
     def initial_points(self, cameras: Float) -> Float:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gvpipe.core.geometry.ground import pixel_from_plane
-from gvpipe.core.geometry.pose import robot_from_camera, yaw_tilt_roll
+from gvpipe.core.geometry.ground import calibrations, pixel_from_plane
+from gvpipe.core.geometry.pose import upright, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
-from gvpipe.core.slam.links import Link, matches_of
+from gvpipe.core.slam.links import LinkSet
 from gvpipe.core.slam.rig import Rig, centres, orientation
 from gvpipe.core.slam.tracks import Index, Tracks, cell_tracks, chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
@@ -103,7 +103,7 @@ class Part:
 def adjust_part(
     views: Views,
     members: Index,
-    links: Sequence[tuple[int, int, Link]],
+    linked: LinkSet,
     planar: Float,
     options: MapOptions,
     control: Control,
@@ -118,7 +118,7 @@ def adjust_part(
         All images.
     members : (M,) int64
         Images of the component, the one that defines its frame first.
-    links : sequence of (image i, image j, Link)
+    linked : LinkSet
         Links between them, which connect them all.
     planar : (N, 3) float64
         Position and heading of every image, in any common frame.
@@ -136,19 +136,19 @@ def adjust_part(
     part : Part
     """
     _, group = np.unique(views.group[members], return_inverse=True)
+    cameras, mounts = ([x[k] for k in members.tolist()] for x in (views.cameras, views.mounts))
     rig = Rig(
-        matrix=np.stack([views.cameras[k].matrix for k in members.tolist()]),
-        robot_from_camera=np.stack(
-            [robot_from_camera(views.mounts[k]).rotation for k in members.tolist()]
-        ),
-        height=np.array([views.mounts[k].height for k in members.tolist()]),
+        matrix=calibrations(cameras),
+        robot_from_camera=_upright(mounts),
+        height=np.array([mount.height for mount in mounts]),
         group=group.ravel().astype(np.int64),
     )
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
-    slot = {int(k): n for n, k in enumerate(members)}
-    tracks = _tracks([(slot[i], slot[j]) for i, j, _ in links], [link for _, _, link in links])
+    slot = np.full(len(planar), -1)
+    slot[members] = np.arange(len(members))
+    tracks = _tracks(slot[linked.ends], linked)
     none = np.zeros((len(members), 6, 6))
-    if not links:
+    if not linked.links:
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
     problem = Problem(rig, tracks, 0, where=_looked_at(rig, start))
     mean_sigma = _mean_sigma(views, members, rig.group, options)
@@ -167,10 +167,12 @@ def adjust_part(
         adjusted, problem = fixed_by(adjusted, problem, own)
         turn = np.eye(3)
     poses = _poses(rig, adjusted.state.cameras, turn)
-    plane = [pixel_from_plane(views.cameras[k], p) for k, p in zip(members, poses, strict=True)]
+    every = slice(None, None, -(-len(linked.links) // JUDGED_LINKS))
+    i, j = slot[linked.ends[every]].T
+    plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
     shared = shared_errors(
-        (plane[slot[j]] @ np.linalg.inv(plane[slot[i]]), link.points_i, link.points_j)
-        for i, j, link in links[:: -(-len(links) // JUDGED_LINKS)]
+        (plane[b] @ np.linalg.inv(plane[a]), link.points_i, link.points_j)
+        for a, b, link in zip(i.tolist(), j.tolist(), linked.links[every], strict=True)
     )
     return Part(
         members,
@@ -182,19 +184,24 @@ def adjust_part(
     )
 
 
-def _tracks(pairs: list[tuple[int, int]], links: list[Link]) -> Tracks:
+def _tracks(ends: Index, linked: LinkSet) -> Tracks:
     """Chain matches to points, or sum them up if there are too many."""
-    if sum(len(link.points_i) for link in links) <= MANY_MATCHES:
-        return chain_matches(pairs, [(link.points_i, link.points_j) for link in links])
-    homographies = np.array([link.homography for link in links])
-    return cell_tracks(np.array(pairs, dtype=np.int64), matches_of(links), homographies)
+    if linked.matches.count[linked.number].sum() <= MANY_MATCHES:
+        pairs = [(int(i), int(j)) for i, j in ends]
+        return chain_matches(pairs, [(link.points_i, link.points_j) for link in linked.links])
+    homographies = np.array([link.homography for link in linked.links])
+    return cell_tracks(ends, linked.matches, linked.number, homographies)
 
 
-def _own(control: Control, slot: dict[int, int]) -> Control:
+def _own(control: Control, slot: Index) -> Control:
     """Known points in images of a component, with their numbers within it."""
-    which = np.array([k for k, image in enumerate(control.camera.tolist()) if image in slot], int)
-    camera = np.array([slot[k] for k in control.camera[which].tolist()], dtype=np.int64)
-    return Control(camera, control.pixel[which], control.position[which])
+    which = slot[control.camera] >= 0
+    return Control(slot[control.camera[which]], control.pixel[which], control.position[which])
+
+
+def _upright(mounts: Sequence[Mount]) -> Float:
+    """Orientations (M, 3, 3) of cameras in their robots' frames."""
+    return upright(np.array([m.tilt for m in mounts]), np.array([m.roll for m in mounts]))
 
 
 def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:
@@ -212,8 +219,7 @@ def _start(rig: Rig, held: Sequence[Mount], planar: Float) -> Float:
     start = np.zeros((len(held), 6))
     start[:, :3] = _seen_from(planar[0], planar)
     # as a turn about a level axis, then a heading: what lies upright tells the axis
-    turned = np.stack([robot_from_camera(m).rotation for m in held])
-    turned = turned @ rig.robot_from_camera.transpose(0, 2, 1)
+    turned = _upright(held) @ rig.robot_from_camera.transpose(0, 2, 1)
     up = turned[:, 2]
     sine = np.hypot(up[:, 0], up[:, 1])
     angle = np.arctan2(sine, up[:, 2]) / np.maximum(sine, 1e-12)

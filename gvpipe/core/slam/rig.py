@@ -74,11 +74,12 @@ class State:
 
 def orientation(rig: Rig, cameras: Float) -> Float:
     """Rotations (N, 3, 3) from map to camera axes, of cameras (N, 6), see :class:`State`."""
-    return np.asarray(rig.robot_from_camera.transpose(0, 2, 1) @ _unlean(cameras) @ _unturn(cameras))
+    camera_from_robot = rig.robot_from_camera.transpose(0, 2, 1)
+    return np.asarray(camera_from_robot @ _unlean(cameras) @ _unturn(cameras))
 
 
 def turning(rig: Rig, cameras: Float) -> Float:
-    """Derivatives (N, 3, 3, 3) of :func:`orientation` by heading and the two leans."""
+    """Differentiate :func:`orientation` by heading and the two leans, (N, 3, 3, 3)."""
     camera_from_robot = rig.robot_from_camera.transpose(0, 2, 1)
     unlean, unturn = _unlean(cameras), _unturn(cameras)
     turned = np.empty((len(cameras), 3, 3, 3))
