@@ -100,30 +100,35 @@ def evaluate(
 
 @kernel
 def _differentiate(
-    projection: Float, turned: Float, centre: Float, x: float, y: float, jc: Float, jp: Float
-) -> tuple[bool, float, float]:
-    """Differentiate a projected point by the unknowns of its camera and by its place.
+    projection: Float, turned: Float, centre: Float, x: float, y: float, pixel: Float, out: Float
+) -> float:
+    """Differentiate a projected point by the six unknowns of its camera and by its place.
 
-    Returns whether the point lies in front, and its pixel.
+    Rows of `out` (9, 2): these eight, then the residual; zero behind the camera. Returns the
+    squared residual.
     """
     g, z = projection, -centre[2]
     x, y = x - centre[0], y - centre[1]
-    w = g[2, 0] * x + g[2, 1] * y + g[2, 2] * z
-    depth = max(w, MIN_DEPTH)
-    u = (g[0, 0] * x + g[0, 1] * y + g[0, 2] * z) / depth
-    v = (g[1, 0] * x + g[1, 1] * y + g[1, 2] * z) / depth
+    depth = g[2, 0] * x + g[2, 1] * y + g[2, 2] * z
+    if depth < MIN_DEPTH:
+        out[:] = 0.0
+        return BEHIND_PX2
+    s = 1.0 / depth
+    u = (g[0, 0] * x + g[0, 1] * y + g[0, 2] * z) * s
+    v = (g[1, 0] * x + g[1, 1] * y + g[1, 2] * z) * s
     for q in range(2):
-        jp[0, q] = (g[0, q] - u * g[2, q]) / depth
-        jp[1, q] = (g[1, q] - v * g[2, q]) / depth
-        jc[0, q], jc[1, q] = -jp[0, q], -jp[1, q]
+        a, b = (g[0, q] - u * g[2, q]) * s, (g[1, q] - v * g[2, q]) * s
+        out[q, 0], out[q, 1], out[6 + q, 0], out[6 + q, 1] = -a, -b, a, b
     for q in range(3):
         h = turned[q]
         by_w = h[2, 0] * x + h[2, 1] * y + h[2, 2] * z
-        jc[0, 2 + q] = (h[0, 0] * x + h[0, 1] * y + h[0, 2] * z - u * by_w) / depth
-        jc[1, 2 + q] = (h[1, 0] * x + h[1, 1] * y + h[1, 2] * z - v * by_w) / depth
-    jc[0, 5] = (g[0, 2] - u * g[2, 2]) / depth * z
-    jc[1, 5] = (g[1, 2] - v * g[2, 2]) / depth * z
-    return w >= MIN_DEPTH, u, v
+        out[2 + q, 0] = (h[0, 0] * x + h[0, 1] * y + h[0, 2] * z - u * by_w) * s
+        out[2 + q, 1] = (h[1, 0] * x + h[1, 1] * y + h[1, 2] * z - v * by_w) * s
+    out[5, 0] = (g[0, 2] - u * g[2, 2]) * s * z
+    out[5, 1] = (g[1, 2] - v * g[2, 2]) * s * z
+    u, v = u - pixel[0], v - pixel[1]
+    out[8, 0], out[8, 1] = u, v
+    return float(u * u + v * v)
 
 
 @kernel
@@ -131,9 +136,9 @@ def _reduce(
     camera: Index,
     pair_block: Index,
     w: float,
-    jc: Float,
+    by: Float,
     inverse: Float,
-    point_gradient: Float,
+    pull: Float,
     coupling: Float,
     blocks: Float,
     gradient: Float,
@@ -142,23 +147,27 @@ def _reduce(
     reduced = np.empty((6, 2))
     pair = 0
     for a in range(len(camera)):
-        own, total = blocks[pair_block[pair]], gradient[camera[a]]
         for p in range(6):
-            c0, c1 = coupling[a, p, 0], coupling[a, p, 1]
-            reduced[p, 0] = c0 * inverse[0, 0] + c1 * inverse[1, 0]
-            reduced[p, 1] = c0 * inverse[0, 1] + c1 * inverse[1, 1]
-            total[p] -= reduced[p, 0] * point_gradient[0] + reduced[p, 1] * point_gradient[1]
-            j0, j1 = w * jc[a, 0, p], w * jc[a, 1, p]
+            c0, c1 = w * by[a, p, 0], w * by[a, p, 1]
+            coupling[a, p, 0] = c0 * by[a, 6, 0] + c1 * by[a, 6, 1]
+            coupling[a, p, 1] = c0 * by[a, 7, 0] + c1 * by[a, 7, 1]
+    for a in range(len(camera)):
+        own, total, mine = blocks[pair_block[pair]], gradient[camera[a]], coupling[a]
+        for p in range(6):
+            c0, c1 = w * by[a, p, 0], w * by[a, p, 1]
+            r0 = mine[p, 0] * inverse[0, 0] + mine[p, 1] * inverse[1, 0]
+            r1 = mine[p, 0] * inverse[0, 1] + mine[p, 1] * inverse[1, 1]
+            reduced[p, 0], reduced[p, 1] = r0, r1
+            total[p] += c0 * by[a, 8, 0] + c1 * by[a, 8, 1] - r0 * pull[0] - r1 * pull[1]
             for q in range(p, 6):
-                own[p, q] += j0 * jc[a, 0, q] + j1 * jc[a, 1, q]
-                own[p, q] -= reduced[p, 0] * coupling[a, q, 0] + reduced[p, 1] * coupling[a, q, 1]
+                own[p, q] += c0 * by[a, q, 0] + c1 * by[a, q, 1] - r0 * mine[q, 0] - r1 * mine[q, 1]
         pair += 1
         for b in range(a + 1, len(camera)):
-            block = blocks[pair_block[pair]]
+            block, other = blocks[pair_block[pair]], coupling[b]
             for p in range(6):
                 r0, r1 = reduced[p, 0], reduced[p, 1]
                 for q in range(6):
-                    block[p, q] -= r0 * coupling[b, q, 0] + r1 * coupling[b, q, 1]
+                    block[p, q] -= r0 * other[q, 0] + r1 * other[q, 1]
             pair += 1
 
 
@@ -207,45 +216,36 @@ def linearise(
     longest = 0
     for t in range(len(start) - 1):
         longest = max(longest, start[t + 1] - start[t])
-    jc, jp = np.zeros((longest, 2, 6)), np.zeros((2, 2))
+    by = np.zeros((longest, 9, 2))
     pair = 0
     for t in range(len(start) - 1):
         first, last = start[t], start[t + 1]
-        bound = loss_px * loss_px * (last - first - 1)
-        total = misfit(projection, centre, camera, pixel, start, weight, points, t)
-        track_weight = weight[t] / (1.0 + total / bound)
-        v00, v01, v11, g0, g1 = 0.0, 0.0, 0.0, 0.0, 0.0
+        x, y = points[t, 0], points[t, 1]
+        total, v00, v01, v11, g0, g1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(first, last):
-            i, j = camera[k], jc[k - first]
-            seen, u, v = _differentiate(
-                projection[i], turned[i], centre[i], points[t, 0], points[t, 1], j, jp
-            )
-            w = track_weight
-            if not seen:
-                w, j[:] = 0.0, 0.0
-            r0, r1 = w * (u - pixel[k, 0]), w * (v - pixel[k, 1])
-            v00 += w * (jp[0, 0] * jp[0, 0] + jp[1, 0] * jp[1, 0])
-            v01 += w * (jp[0, 0] * jp[0, 1] + jp[1, 0] * jp[1, 1])
-            v11 += w * (jp[0, 1] * jp[0, 1] + jp[1, 1] * jp[1, 1])
-            g0 += jp[0, 0] * r0 + jp[1, 0] * r1
-            g1 += jp[0, 1] * r0 + jp[1, 1] * r1
-            for p in range(6):
-                gradient[i, p] += j[0, p] * r0 + j[1, p] * r1
-                for q in range(2):
-                    coupling[k, p, q] = w * (j[0, p] * jp[0, q] + j[1, p] * jp[1, q])
+            i, d = camera[k], by[k - first]
+            total += _differentiate(projection[i], turned[i], centre[i], x, y, pixel[k], d)
+            v00 += d[6, 0] * d[6, 0] + d[6, 1] * d[6, 1]
+            v01 += d[6, 0] * d[7, 0] + d[6, 1] * d[7, 1]
+            v11 += d[7, 0] * d[7, 0] + d[7, 1] * d[7, 1]
+            g0 += d[6, 0] * d[8, 0] + d[6, 1] * d[8, 1]
+            g1 += d[7, 0] * d[8, 0] + d[7, 1] * d[8, 1]
+        bound = loss_px * loss_px * (last - first - 1)
+        w = weight[t] / (1.0 + weight[t] * total / bound)
+        v00, v01, v11 = w * v00, w * v01, w * v11
         determinant = v00 * v11 - v01 * v01
         i00, i01, i11 = 0.0, 0.0, 0.0
         if determinant > 0.0:
             i00, i01, i11 = v11 / determinant, -v01 / determinant, v00 / determinant
         inverse, pull = point_inverse[t], point_gradient[t]
         inverse[0, 0], inverse[0, 1], inverse[1, 0], inverse[1, 1] = i00, i01, i01, i11
-        pull[0], pull[1] = g0, g1
+        pull[0], pull[1] = w * g0, w * g1
         pairs = (last - first) * (last - first + 1) // 2
         _reduce(
             camera[first:last],
             pair_block[pair : pair + pairs],
-            track_weight,
-            jc,
+            w,
+            by,
             inverse,
             pull,
             coupling[first:last],
