@@ -25,8 +25,8 @@ FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8
 """Share by which the diagonal is raised at first, and where the search for a step ends."""
 
-STALE = 0.1
-"""Share of the cost that a step must gain for the next to need a factor of its own."""
+TRUE = 0.5
+"""Share of what a factor promises of a step that the step must gain for the factor to go on."""
 
 
 class Problem:
@@ -113,8 +113,8 @@ class Problem:
     ) -> tuple[State, Factor | None]:
         """Levenberg-Marquardt until a step lowers the cost by a share below `gain`.
 
-        A factor serves as long as its steps gain little: from near the optimum the next system
-        hardly differs. One of before can be given; the last one, if hardly damped, is returned.
+        A factor serves as long as it foretells the gain of its steps: near the optimum systems
+        hardly change. One of before can be given; the last one, if hardly damped, is returned.
         """
         damping = FIRST_DAMPING
         cost = self.cost(state, spread, loss_px, noise_px)
@@ -128,7 +128,8 @@ class Problem:
                 except np.linalg.LinAlgError:
                     damping *= 10.0
                     continue
-                trial = self._moved(state, normal.step(factor, gradient), elimination)
+                step = normal.step(factor, gradient)
+                trial = self._moved(state, step, elimination)
                 trial_cost = self.cost(trial, spread, loss_px, noise_px)
                 if trial_cost <= cost:
                     gained = cost - trial_cost
@@ -139,7 +140,7 @@ class Problem:
                 damping *= 10.0 if fresh else 1.0
             if gained <= gain * cost:
                 break
-            if gained > STALE * cost or damping > FIRST_DAMPING:
+            if gained < -TRUE * float(gradient @ step) or damping > FIRST_DAMPING:
                 factor = None
         return state, factor if damping <= FIRST_DAMPING else None
 
