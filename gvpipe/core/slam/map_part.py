@@ -10,7 +10,7 @@ from gvpipe.core.geometry.ground import calibrations, pixel_from_plane
 from gvpipe.core.geometry.pose import upright, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
-from gvpipe.core.slam.correlation import shared_errors
+from gvpipe.core.slam.correlation import JUDGED_LINKS, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import LinkSet
 from gvpipe.core.slam.rig import Rig, centres, orientation
@@ -23,9 +23,6 @@ UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
 MANY_MATCHES = 200_000
 """Matches of a component above which they are summed up before it is adjusted: about a thousand
 pictures. Below, every corner counts by itself, and once however many links share it."""
-
-JUDGED_LINKS = 400
-"""Links that tell how much of the errors is shared: their mean is good to a few per cent."""
 
 WELL_SEEN = 3.0
 """Camera heights to which the ground counts as the middle of the picture at most."""
