@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import quaternions
 from gvpipe.core.types import Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.calibration import Calibration
@@ -189,9 +190,9 @@ def format_images(images: Sequence[PosedImage], points: SparsePoints | None = No
         for image, (u, v), point in rows:
             features[image].append(f"{u + 0.5!r} {v + 0.5!r} {point + 1}")
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of X Y POINT3D_ID"]
-    for number, image in enumerate(images, start=1):
-        pose = image.map_from_camera.inverse()
-        x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
+    poses = [image.map_from_camera.inverse() for image in images]
+    posed = zip(images, poses, quaternions(poses).tolist(), strict=True)
+    for number, (image, pose, (x, y, z, w)) in enumerate(posed, start=1):
         numbers = " ".join(repr(float(v) + 0.0) for v in (w, x, y, z, *pose.translation))
         lines.append(f"{number} {numbers} {image.camera} {image.name}")
         lines.append(" ".join(features[number - 1]))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import quaternions
 from gvpipe.core.types import Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.files import read_regular_file
@@ -95,8 +96,9 @@ def format_tum(poses: Iterable[StampedPose]) -> str:
         Every number at full precision, quaternions with qw >= 0.
     """
     lines = [HEADER]
-    for timestamp, pose in poses:
-        quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
+    stamped = list(poses)
+    turns = quaternions([pose for _, pose in stamped]).tolist()
+    for (timestamp, pose), quaternion in zip(stamped, turns, strict=True):
         values = (timestamp, *pose.translation, *quaternion)
         lines.append(" ".join(repr(float(value) + 0.0) for value in values))
     return "\n".join(lines) + "\n"

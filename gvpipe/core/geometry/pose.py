@@ -1,5 +1,7 @@
 """Orientation of a camera over the ground: tilt, roll and yaw from and to rotation matrices."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -104,6 +106,12 @@ def mount_of(map_from_camera: Pose) -> Mount:
 def rotation_vector(rotation: Float) -> Float:
     """Axis times angle, (3,) radians, of a rotation matrix."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
+
+
+def quaternions(poses: Sequence[Pose]) -> Float:
+    """Write rotations of poses as unit quaternions (N, 4): x, y, z and w >= 0."""
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    return np.asarray(Rotation.from_matrix(rotations).as_quat(canonical=True), dtype=np.float64)
 
 
 def rotation_matrix(rotation_vector: Float) -> Float:
