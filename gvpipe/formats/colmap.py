@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from gvpipe.core.geometry.pose import quaternions
+from gvpipe.core.geometry.pose import quaternions, rotation_of
 from gvpipe.core.types import Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.calibration import Calibration
@@ -168,8 +167,7 @@ def read_images(path: Path) -> list[PosedImage]:
         if len(values) != 7 or not name or not all(map(math.isfinite, values)) or norm < 1e-6:
             raise InputError(f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
         w, x, y, z = values[:4]
-        rotation = np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix(), dtype=np.float64)
-        camera_from_map = Pose(rotation, np.array(values[4:]))
+        camera_from_map = Pose(rotation_of([x, y, z, w]), np.array(values[4:]))
         images.append(PosedImage(name, camera, camera_from_map.inverse()))
     return images
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from gvpipe.core.geometry.pose import quaternions
+from gvpipe.core.geometry.pose import quaternions, rotation_of
 from gvpipe.core.types import Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.files import read_regular_file
@@ -103,8 +102,7 @@ def read_g2o(path: Path) -> tuple[dict[int, Pose], list[RelativeEdge]]:
             raise InputError(f"{name}:{number}: expected {keys + wanted} numbers after {words[0]}")
         if math.hypot(*values[3:7]) < 1e-6:
             raise InputError(f"{name}:{number}: the quaternion is zero")
-        rotation = Rotation.from_quat(values[3:7]).as_matrix()
-        pose = Pose(np.asarray(rotation, dtype=np.float64), np.array(values[:3]))
+        pose = Pose(rotation_of(values[3:7]), np.array(values[:3]))
         if keys == 1:
             vertices[ids[0]] = pose
         else:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gvpipe.core.types import Float, Mount, Pose
 
@@ -105,15 +104,28 @@ def mount_of(map_from_camera: Pose) -> Mount:
 
 def rotation_vector(rotation: Float) -> Float:
     """Axis times angle, (3,) radians, of a rotation matrix."""
+    from scipy.spatial.transform import Rotation  # takes long to load, and few need it
+
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
 
 
 def quaternions(poses: Sequence[Pose]) -> Float:
     """Write rotations of poses as unit quaternions (N, 4): x, y, z and w >= 0."""
+    from scipy.spatial.transform import Rotation
+
     rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
     return np.asarray(Rotation.from_matrix(rotations).as_quat(canonical=True), dtype=np.float64)
 
 
 def rotation_matrix(rotation_vector: Float) -> Float:
-    """(3, 3) rotation matrix of an axis times angle, (3,) radians."""
+    """Rotation matrix (3, 3), or several, of an axis times angle, (3,) radians."""
+    from scipy.spatial.transform import Rotation
+
     return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix(), dtype=np.float64)
+
+
+def rotation_of(quaternion: Sequence[float]) -> Float:
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w that is not zero."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix(), dtype=np.float64)

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gvpipe.core.geometry.ground import calibrations, pixel_from_plane
-from gvpipe.core.geometry.pose import upright, yaw_tilt_roll
+from gvpipe.core.geometry.pose import rotation_matrix, upright, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.correlation import JUDGED_LINKS, shared_errors
@@ -221,7 +220,7 @@ def _start(rig: Rig, held: Sequence[Mount], planar: Float) -> Float:
     sine = np.hypot(up[:, 0], up[:, 1])
     angle = np.arctan2(sine, up[:, 2]) / np.maximum(sine, 1e-12)
     level = np.column_stack([up[:, 1], -up[:, 0], np.zeros(len(up))]) * angle[:, None]
-    heading = turned @ Rotation.from_rotvec(-level).as_matrix()
+    heading = turned @ rotation_matrix(-level)
     start[:, 2] += np.arctan2(heading[:, 1, 0], heading[:, 0, 0])
     start[:, 3:5] = level[:, 1::-1]
     start[:, 5] = np.log([m.height for m in held] / rig.height)

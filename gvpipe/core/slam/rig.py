@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import rotation_matrix
 from gvpipe.core.slam.fronts import Blocks
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Float
@@ -98,7 +98,7 @@ def _lean(cameras: Float) -> Float:
 
 def _unlean(cameras: Float) -> Float:
     """Rotations (N, 3, 3) from leaning to upright, transposed leans."""
-    return np.asarray(Rotation.from_rotvec(_lean(cameras)).as_matrix()).transpose(0, 2, 1)
+    return rotation_matrix(_lean(cameras)).transpose(0, 2, 1)
 
 
 def _unturn(cameras: Float) -> Float:
