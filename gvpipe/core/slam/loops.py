@@ -133,6 +133,60 @@ def _thinned(candidates: list[Candidate], max_per_image: int) -> list[Candidate]
     return out
 
 
+def without_bridges(
+    images: Sequence[str], links: Collection[tuple[str, str]]
+) -> list[tuple[str, ...]]:
+    """Split images where one link alone holds parts together: nothing else confirms such a link.
+
+    Parameters
+    ----------
+    images : sequence of str
+        Image ids.
+    links : collection of (str, str)
+        Links between them.
+
+    Returns
+    -------
+    components : list of tuples of str
+        Images that still hang together whichever link is taken away.
+
+    Notes
+    -----
+    A link is a bridge if no other leads back from what lies beyond it (Tarjan's low links).
+    """
+    beside: dict[str, list[tuple[int, str]]] = {image: [] for image in images}
+    for k, (i, j) in enumerate(links):
+        beside[i].append((k, j))
+        beside[j].append((k, i))
+    reached: dict[str, int] = {}
+    back: dict[str, int] = {}  # the first image that can be reached again from here on
+    parts: list[tuple[str, ...]] = []
+    for root in images:
+        if root in reached:
+            continue
+        reached[root] = back[root] = len(reached)
+        way, waiting = [(root, -1, iter(beside[root]))], [root]
+        while way:
+            image, by, others = way[-1]
+            for k, other in others:
+                if other not in reached:
+                    reached[other] = back[other] = len(reached)
+                    way.append((other, k, iter(beside[other])))
+                    waiting.append(other)
+                    break
+                if k != by:
+                    back[image] = min(back[image], reached[other])
+            else:
+                way.pop()
+                if way:
+                    back[way[-1][0]] = min(back[way[-1][0]], back[image])
+                if back[image] == reached[image]:  # nothing beyond leads back before it
+                    first = waiting.index(image)
+                    parts.append(tuple(waiting[first:]))
+                    del waiting[first:]
+    return parts
+
+
 def gap_candidates(
     order: Sequence[str],
     components: Sequence[Sequence[str]],
@@ -140,7 +194,7 @@ def gap_candidates(
     *,
     max_gap: int,
 ) -> list[Candidate]:
-    """Pairs that could bridge a gap in a robot's chain: near in time but not connected.
+    """Find pairs that could bridge a gap in a robot's chain: near in time but not connected.
 
     Parameters
     ----------
