@@ -132,6 +132,23 @@ def _differentiate(
 
 
 @kernel
+def _point_normal(by: Float, w: float, inverse: Float, pull: Float) -> None:
+    """Inverse normal matrix and gradient of a point from the derivatives of its observations."""
+    a, b, c, pull[:] = 0.0, 0.0, 0.0, 0.0
+    for d in by:
+        a += w * (d[6, 0] * d[6, 0] + d[6, 1] * d[6, 1])
+        b += w * (d[6, 0] * d[7, 0] + d[6, 1] * d[7, 1])
+        c += w * (d[7, 0] * d[7, 0] + d[7, 1] * d[7, 1])
+        pull[0] += w * (d[6, 0] * d[8, 0] + d[6, 1] * d[8, 1])
+        pull[1] += w * (d[7, 0] * d[8, 0] + d[7, 1] * d[8, 1])
+    determinant = a * c - b * b
+    inverse[:] = 0.0
+    if determinant > 0.0:
+        inverse[0, 0], inverse[1, 1] = c / determinant, a / determinant
+        inverse[0, 1] = inverse[1, 0] = -b / determinant
+
+
+@kernel
 def _reduce(
     camera: Index,
     pair_block: Index,
@@ -220,26 +237,14 @@ def linearise(
     pair = 0
     for t in range(len(start) - 1):
         first, last = start[t], start[t + 1]
-        x, y = points[t, 0], points[t, 1]
-        total, v00, v01, v11, g0, g1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        x, y, total = points[t, 0], points[t, 1], 0.0
         for k in range(first, last):
             i, d = camera[k], by[k - first]
             total += _differentiate(projection[i], turned[i], centre[i], x, y, pixel[k], d)
-            v00 += d[6, 0] * d[6, 0] + d[6, 1] * d[6, 1]
-            v01 += d[6, 0] * d[7, 0] + d[6, 1] * d[7, 1]
-            v11 += d[7, 0] * d[7, 0] + d[7, 1] * d[7, 1]
-            g0 += d[6, 0] * d[8, 0] + d[6, 1] * d[8, 1]
-            g1 += d[7, 0] * d[8, 0] + d[7, 1] * d[8, 1]
         bound = loss_px * loss_px * (last - first - 1)
         w = weight[t] / (1.0 + weight[t] * total / bound)
-        v00, v01, v11 = w * v00, w * v01, w * v11
-        determinant = v00 * v11 - v01 * v01
-        i00, i01, i11 = 0.0, 0.0, 0.0
-        if determinant > 0.0:
-            i00, i01, i11 = v11 / determinant, -v01 / determinant, v00 / determinant
         inverse, pull = point_inverse[t], point_gradient[t]
-        inverse[0, 0], inverse[0, 1], inverse[1, 0], inverse[1, 1] = i00, i01, i01, i11
-        pull[0], pull[1] = w * g0, w * g1
+        _point_normal(by[: last - first], w, inverse, pull)
         pairs = (last - first) * (last - first + 1) // 2
         _reduce(
             camera[first:last],

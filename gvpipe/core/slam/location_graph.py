@@ -105,11 +105,7 @@ def build_map(
     views = Views([cameras[x] for x in order], held.expected, held.mounts, group)
     screened = screen(linked, usable, views.cameras, views.held)
     planar, keep = screened.planar, screened.keep
-    known = Control(
-        camera=np.array([index[p.image] for p in control], dtype=np.int64),
-        pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
-        position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
-    )
+    known = _numbered(control, index)
     enough = linked.matches.count >= MIN_POINTS
     parts: list[Part] = []
     for revision in range(REVISIONS):
@@ -134,6 +130,15 @@ def build_map(
         keep = revised
     judged = Gathered(order, views, parts, ends, links, keep, known_px, distances_m)
     return judged.result(held.reasons)
+
+
+def _numbered(control: Sequence[ControlPoint], index: Mapping[str, int]) -> Control:
+    """Lay known points out as arrays."""
+    return Control(
+        camera=np.array([index[p.image] for p in control], dtype=np.int64),
+        pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
+        position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
+    )
 
 
 def _robots(order: Sequence[str]) -> Index:

@@ -131,14 +131,7 @@ def adjust_part(
     -------
     part : Part
     """
-    _, group = np.unique(views.group[members], return_inverse=True)
-    cameras, mounts = ([x[k] for k in members.tolist()] for x in (views.cameras, views.mounts))
-    rig = Rig(
-        matrix=calibrations(cameras),
-        robot_from_camera=_upright(mounts),
-        height=np.array([mount.height for mount in mounts]),
-        group=group.ravel().astype(np.int64),
-    )
+    rig = _rig(views, members)
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
     slot = np.full(len(planar), -1)
     slot[members] = np.arange(len(members))
@@ -163,13 +156,7 @@ def adjust_part(
         adjusted, problem = fixed_by(adjusted, problem, own)
         turn = np.eye(3)
     poses = _poses(rig, adjusted.state.cameras, turn)
-    every = slice(None, None, -(-len(linked.links) // JUDGED_LINKS))
-    i, j = slot[linked.ends[every]].T
-    plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
-    shared = shared_errors(
-        (plane[b] @ np.linalg.inv(plane[a]), link.points_i, link.points_j)
-        for a, b, link in zip(i.tolist(), j.tolist(), linked.links[every], strict=True)
-    )
+    shared = _shared(views, members, poses, slot, linked)
     return Part(
         members,
         poses,
@@ -177,6 +164,30 @@ def adjust_part(
         tracks,
         adjusted.state.points @ turn[:2, :2].T,
         own.fixes_the_map,
+    )
+
+
+def _rig(views: Views, members: Index) -> Rig:
+    """Gather what is known of the cameras of a component."""
+    _, group = np.unique(views.group[members], return_inverse=True)
+    mounts = [views.mounts[k] for k in members.tolist()]
+    return Rig(
+        matrix=calibrations([views.cameras[k] for k in members.tolist()]),
+        robot_from_camera=_upright(mounts),
+        height=np.array([mount.height for mount in mounts]),
+        group=group.ravel().astype(np.int64),
+    )
+
+
+def _shared(views: Views, members: Index, poses: list[Pose], slot: Index, linked: LinkSet) -> float:
+    """How much the errors of matches have in common, from some of the links."""
+    cameras = [views.cameras[k] for k in members.tolist()]
+    plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
+    every = slice(None, None, -(-len(linked.links) // JUDGED_LINKS))
+    ends = slot[linked.ends[every]].tolist()
+    return shared_errors(
+        (plane[j] @ np.linalg.inv(plane[i]), link.points_i, link.points_j)
+        for (i, j), link in zip(ends, linked.links[every], strict=True)
     )
 
 
