@@ -5,15 +5,19 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
 from gvpipe import __version__
-from gvpipe.errors import GvpipeError, OutputError, ResourceError, UsageError
+from gvpipe.errors import GvpipeError, NoResultError, OutputError, ResourceError, UsageError
 from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_tools
+
+if TYPE_CHECKING:  # loaded late: the command line stays quick
+    from gvpipe.config import Config
+    from gvpipe.report import Reporter
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
 
@@ -82,6 +86,12 @@ DryRun = Annotated[
         "--dry-run", help="Write nothing; say what is fresh, what would run, for how long."
     ),
 ]
+Stages = Annotated[
+    str | None,
+    typer.Option(
+        "--stages", metavar="NAME,...", help="Which of them, by commas.", show_default="all"
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Run even if the artefact is fresh.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")]
@@ -140,35 +150,92 @@ def _stage_command(name: str) -> Callable[..., None]:
         verbose: Verbose = False,
         log_json: LogJson = False,
     ) -> None:
-        if quiet and verbose:
-            raise UsageError("--quiet and --verbose exclude each other")
-        from gvpipe.memory import jobs_within, keep_within, parse_size
-
-        jobs = jobs or len(os.sched_getaffinity(0))
-        if memory_limit is not None:
-            limit = parse_size(memory_limit)
-            jobs = jobs_within(limit, jobs)
-            keep_within(limit)
-        from gvpipe.configfile import load_config
-        from gvpipe.report import Reporter
-
-        reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
-        loaded = load_config(config, tuple(overrides or ()), out)
-        if dry_run:
-            from gvpipe.plan import plan_stage
-
-            plan_stage(name, loaded, reporter, jobs=jobs, force=force)
-            return
-        from gvpipe.runner import run_stage
-
-        run_stage(name, loaded, reporter, jobs=jobs, force=force)
+        prepared = _prepared(config, out, overrides, jobs, memory_limit, (quiet, verbose, log_json))
+        _do(name, *prepared, force=force, dry_run=dry_run)
 
     return command
+
+
+def _prepared(
+    path: Path,
+    out: Path | None,
+    overrides: list[str] | None,
+    jobs: int | None,
+    memory_limit: str | None,
+    says: tuple[bool, bool, bool],
+) -> "tuple[Config, Reporter, int]":
+    """Check what a command was given: its configuration, where it reports, how many jobs."""
+    quiet, verbose, log_json = says
+    if quiet and verbose:
+        raise UsageError("--quiet and --verbose exclude each other")
+    from gvpipe.memory import jobs_within, keep_within, parse_size
+
+    jobs = jobs or len(os.sched_getaffinity(0))
+    if memory_limit is not None:
+        limit = parse_size(memory_limit)
+        jobs = jobs_within(limit, jobs)
+        keep_within(limit)
+    from gvpipe.configfile import load_config
+    from gvpipe.report import Reporter
+
+    reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
+    return load_config(path, tuple(overrides or ()), out), reporter, jobs
+
+
+def _do(
+    name: str, config: "Config", reporter: "Reporter", jobs: int, *, force: bool, dry_run: bool
+) -> None:
+    """Run one stage, or say what it would do."""
+    if dry_run:
+        from gvpipe.plan import plan_stage
+
+        plan_stage(name, config, reporter, jobs=jobs, force=force)
+        return
+    from gvpipe.runner import run_stage
+
+    run_stage(name, config, reporter, jobs=jobs, force=force)
 
 
 for _name, _help in COMMANDS.items():
     _epilog = f"Examples: {EXAMPLES[_name]}\n\n{EXIT_CODES}"
     app.command(_name, cls=StageCommand, help=_help, epilog=_epilog)(_stage_command(_name))
+
+RUN_EXAMPLES = "gvpipe run mine.yaml; gvpipe run mine.yaml --stages match,overlap,slam"
+
+
+@app.command("run", epilog=f"Examples: {RUN_EXAMPLES}\n\n{EXIT_CODES}")
+def run_stages(
+    config: ConfigPath,
+    stages: Stages = None,
+    out: OutDir = None,
+    overrides: Overrides = None,
+    jobs: Jobs = None,
+    memory_limit: MemoryLimit = None,
+    force: Force = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    log_json: LogJson = False,
+) -> None:
+    """Run several of the six commands one after the other, in one process.
+
+    One that ends without a result (exit code 5) does not keep the others from running.
+    """
+    names = list(COMMANDS) if stages is None else stages.split(",")
+    for name in names:
+        if name not in COMMANDS:
+            raise UsageError(f"--stages: {name!r} is none of {', '.join(COMMANDS)}")
+    prepared = _prepared(config, out, overrides, jobs, memory_limit, (quiet, verbose, log_json))
+    missing: NoResultError | None = None
+    for name in COMMANDS:
+        if name in names:
+            try:
+                _do(name, *prepared, force=force, dry_run=dry_run)
+            except NoResultError as error:
+                missing = missing or error
+    if missing:
+        raise missing
+
 
 add_tools(app)
 

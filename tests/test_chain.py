@@ -230,9 +230,9 @@ def test_other_methods_give_the_same_files(chain: TinySet, tmp_path: Path, choic
 def test_artefacts_do_not_depend_on_jobs_or_place(chain: TinySet, tmp_path: Path) -> None:
     copy = make_tiny_set(tmp_path / "elsewhere")
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
+    command = [sys.executable, "-m", "gvpipe", "run", str(copy.config), "--jobs", "2", "-q"]
+    subprocess.run(command, check=True, env=environment)
     for stage in STAGES:
-        command = [sys.executable, "-m", "gvpipe", stage, str(copy.config), "--jobs", "2", "-q"]
-        subprocess.run(command, check=True, env=environment)
         for path in sorted((chain.out() / stage).iterdir()):
             other = copy.out() / stage / path.name
             if path.suffix == ".json":
@@ -277,6 +277,7 @@ def test_wrong_command_lines_end_with_2(tiny: TinySet) -> None:
     assert run(["no-such-command"]) == 2
     assert run(["match", str(tiny.config), "-q", "-v"]) == 2
     assert run(["match", str(tiny.config), "--jobs", "0"]) == 2
+    assert run(["run", str(tiny.config), "--stages", "match,slm"]) == 2
 
 
 def test_wrong_configurations_end_with_3(tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
@@ -310,6 +311,9 @@ def test_no_result_ends_with_5_and_says_why(tiny: TinySet, tmp_path: Path, capsy
     document = json.loads((tmp_path / "run/match/match.json").read_text())
     assert document["reason"]
     assert {row["status"] for row in document["pairs"]} == {"rejected"}
+    # the others run nevertheless
+    assert run(["run", str(config), "--stages", "match,overlap,slam"]) == 5
+    assert (tmp_path / "run/slam/slam.json").exists()
     assert run(["match", str(config)]) == 5  # fresh, and still without a result
 
 

@@ -10,7 +10,16 @@ from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import matches_of
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, pose_jacobians, rescaled
+from gvpipe.core.slam.rig import (
+    Rig,
+    Spread,
+    State,
+    centres,
+    orientation,
+    pose_jacobians,
+    rescaled,
+    turning,
+)
 from gvpipe.core.slam.tracks import cell_tracks, chain_matches
 from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
@@ -45,13 +54,13 @@ def mapped(scene: Scene, options: MapOptions | None = None) -> MapResult:
 def test_orientation_derivatives_are_those_of_finite_differences() -> None:
     rig, cameras = some_rig(4, np.random.default_rng(1))
     cameras[0, 3:5] = 0.0
-    _, turned = orientation(rig, cameras)
+    turned = turning(rig, cameras)
     step = 1e-6
     for slot, unknown in enumerate((2, 3, 4)):
         ahead, behind = cameras.copy(), cameras.copy()
         ahead[:, unknown] += step
         behind[:, unknown] -= step
-        difference = (orientation(rig, ahead)[0] - orientation(rig, behind)[0]) / (2 * step)
+        difference = (orientation(rig, ahead) - orientation(rig, behind)) / (2 * step)
         np.testing.assert_allclose(turned[:, slot], difference, atol=1e-8)
 
 
@@ -63,7 +72,7 @@ def test_pose_jacobians_are_those_of_finite_differences() -> None:
         ahead, behind = cameras.copy(), cameras.copy()
         ahead[:, unknown] += step
         behind[:, unknown] -= step
-        after, before = (orientation(rig, c)[0].transpose(0, 2, 1) for c in (ahead, behind))
+        after, before = (orientation(rig, c).transpose(0, 2, 1) for c in (ahead, behind))
         turn = Rotation.from_matrix(after @ before.transpose(0, 2, 1)).as_rotvec()
         numeric[:, :3, unknown] = turn / (2 * step)
         numeric[:, 3:, unknown] = (centres(rig, ahead) - centres(rig, behind)) / (2 * step)
@@ -188,7 +197,7 @@ def test_cells_of_matches_say_what_the_matches_say() -> None:
     scene = make_scene({"A": arc_path(2)}, rng, density=300.0, wrong_matches=0.02)
     [link] = scene.links
     ends, matches = np.array([[1, 0]]), matches_of([link])
-    tracks = cell_tracks(ends, matches, link.homography[None])
+    tracks = cell_tracks(ends, matches, np.array([0]), link.homography[None])
     assert len(tracks.weight) <= 16
     assert (tracks.camera.reshape(-1, 2) == [0, 1]).all()
     good = transfer_errors(link.homography, link.points_i, link.points_j) < 3.0

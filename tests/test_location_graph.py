@@ -8,7 +8,7 @@ from gvpipe.core.geometry.homography import apply
 from gvpipe.core.geometry.pose import yaw_tilt_roll
 from gvpipe.core.slam.links import Link, link_kind
 from gvpipe.core.slam.location_graph import ControlPoint, MapOptions, build_map
-from gvpipe.core.slam.loops import gap_candidates, loop_candidates
+from gvpipe.core.slam.loops import gap_candidates, loop_candidates, without_bridges
 from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import (
     Scene,
@@ -208,6 +208,14 @@ def test_gaps_in_a_chain_are_bridged() -> None:
     found = gap_candidates(order, [("A/0.jpg", "A/1.jpg")], [("A/1.jpg", "A/2.jpg")], max_gap=2)
     pairs = [(c.image_i, c.image_j) for c in found]
     assert pairs == [("A/2.jpg", "A/3.jpg"), ("A/0.jpg", "A/2.jpg"), ("A/1.jpg", "A/3.jpg")]
+
+
+def test_images_held_by_one_link_only_are_set_apart() -> None:
+    links = [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d"), ("d", "e"), ("e", "f"), ("f", "d")]
+    parts = without_bridges("abcdefg", links)
+    assert {frozenset(part) for part in parts} == {frozenset(x) for x in ("abc", "def", "g")}
+    # two links between the same images confirm each other
+    assert len(without_bridges("ab", [("a", "b"), ("a", "b")])) == 1
 
 
 def seen_points(

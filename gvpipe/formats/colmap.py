@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import quaternions, rotation_of
 from gvpipe.core.types import Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.calibration import Calibration
@@ -167,8 +167,7 @@ def read_images(path: Path) -> list[PosedImage]:
         if len(values) != 7 or not name or not all(map(math.isfinite, values)) or norm < 1e-6:
             raise InputError(f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
         w, x, y, z = values[:4]
-        rotation = np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix(), dtype=np.float64)
-        camera_from_map = Pose(rotation, np.array(values[4:]))
+        camera_from_map = Pose(rotation_of([x, y, z, w]), np.array(values[4:]))
         images.append(PosedImage(name, camera, camera_from_map.inverse()))
     return images
 
@@ -189,9 +188,9 @@ def format_images(images: Sequence[PosedImage], points: SparsePoints | None = No
         for image, (u, v), point in rows:
             features[image].append(f"{u + 0.5!r} {v + 0.5!r} {point + 1}")
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of X Y POINT3D_ID"]
-    for number, image in enumerate(images, start=1):
-        pose = image.map_from_camera.inverse()
-        x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
+    poses = [image.map_from_camera.inverse() for image in images]
+    posed = zip(images, poses, quaternions(poses).tolist(), strict=True)
+    for number, (image, pose, (x, y, z, w)) in enumerate(posed, start=1):
         numbers = " ".join(repr(float(v) + 0.0) for v in (w, x, y, z, *pose.translation))
         lines.append(f"{number} {numbers} {image.camera} {image.name}")
         lines.append(" ".join(features[number - 1]))

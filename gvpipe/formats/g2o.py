@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import quaternions, rotation_of
 from gvpipe.core.types import Float, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.files import read_regular_file
@@ -51,16 +51,19 @@ def format_g2o(vertices: Sequence[Pose], edges: Iterable[RelativeEdge]) -> str:
 
     There are no comments in it: several readers take none.
     """
-    lines = [f"{VERTEX} {k} {_numbers(pose)}" for k, pose in enumerate(vertices)]
-    for edge in edges:
-        upper = " ".join(repr(float(v) + 0.0) for v in edge.information[_UPPER])
-        lines.append(f"{EDGE} {edge.i} {edge.j} {_numbers(edge.i_from_j)} {upper}")
+    edges = list(edges)
+    lines = [f"{VERTEX} {k} {numbers}" for k, numbers in enumerate(_numbers(vertices))]
+    for edge, numbers in zip(edges, _numbers([edge.i_from_j for edge in edges]), strict=True):
+        upper = " ".join(map(repr, (edge.information[_UPPER] + 0.0).tolist()))
+        lines.append(f"{EDGE} {edge.i} {edge.j} {numbers} {upper}")
     return "".join(line + "\n" for line in lines)
 
 
-def _numbers(pose: Pose) -> str:
-    quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
-    return " ".join(repr(float(v) + 0.0) for v in (*pose.translation, *quaternion))
+def _numbers(poses: Sequence[Pose]) -> list[str]:
+    """Position and quaternion of each pose."""
+    position = np.array([pose.translation for pose in poses]).reshape(-1, 3)
+    rows = np.column_stack([position, quaternions(poses)]) + 0.0
+    return [" ".join(map(repr, row)) for row in rows.tolist()]
 
 
 def read_g2o(path: Path) -> tuple[dict[int, Pose], list[RelativeEdge]]:
@@ -99,8 +102,7 @@ def read_g2o(path: Path) -> tuple[dict[int, Pose], list[RelativeEdge]]:
             raise InputError(f"{name}:{number}: expected {keys + wanted} numbers after {words[0]}")
         if math.hypot(*values[3:7]) < 1e-6:
             raise InputError(f"{name}:{number}: the quaternion is zero")
-        rotation = Rotation.from_quat(values[3:7]).as_matrix()
-        pose = Pose(np.asarray(rotation, dtype=np.float64), np.array(values[:3]))
+        pose = Pose(rotation_of(values[3:7]), np.array(values[:3]))
         if keys == 1:
             vertices[ids[0]] = pose
         else:

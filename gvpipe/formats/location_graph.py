@@ -1,6 +1,7 @@
 """The location graph drawn to scale: where each picture was taken and what links them."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,12 @@ ROBOT_COLOURS = ("#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#882255", "#44aa99
 
 LABEL_PX = 10.0
 """Height of image labels."""
+
+CELL_PX = 20.0
+"""Side of the cells in which labels look for others that are in the way."""
+
+Box = tuple[float, float, float, float]
+"""Left, top, right and bottom."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +224,9 @@ def _draw_camera(drawing: Drawing, node: GraphNode, at: Point, colour: str) -> N
 
 def _draw_labels(drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, Point]) -> None:
     """Write each label at the first free place around its image; leave out what does not fit."""
-    taken = [(x - 6.0, y - 6.0, x + 6.0, y + 6.0) for x, y in at.values()]
+    taken: dict[tuple[int, int], list[Box]] = {}
+    for x, y in at.values():
+        _take((x - 6.0, y - 6.0, x + 6.0, y + 6.0), taken)
     for node in nodes:
         x, y = at[node.image]
         width = 0.6 * LABEL_PX * len(node.label)
@@ -226,8 +235,9 @@ def _draw_labels(drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, Poi
             cx = x + np.cos(angle) * (12.0 + width / 2)
             cy = y + np.sin(angle) * (8.0 + LABEL_PX / 2)
             box = (cx - width / 2, cy - LABEL_PX / 2, cx + width / 2, cy + LABEL_PX / 2)
-            if not any(_cross(box, other) for other in taken):
-                taken.append(box)
+            near = (other for cell in _cells(box) for other in taken.get(cell, ()))
+            if not any(_cross(box, other) for other in near):
+                _take(box, taken)
                 drawing.text(
                     (cx, cy + 0.35 * LABEL_PX),
                     node.label,
@@ -236,8 +246,20 @@ def _draw_labels(drawing: Drawing, nodes: Sequence[GraphNode], at: dict[str, Poi
                 break
 
 
-def _cross(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    """Whether two boxes (left, top, right, bottom) overlap."""
+def _take(box: Box, taken: dict[tuple[int, int], list[Box]]) -> None:
+    """Note a box in every cell that it touches."""
+    for cell in _cells(box):
+        taken.setdefault(cell, []).append(box)
+
+
+def _cells(box: Box) -> Iterator[tuple[int, int]]:
+    """Cells of a square grid that a box touches."""
+    left, top, right, bottom = (int(side // CELL_PX) for side in box)
+    return itertools.product(range(left, right + 1), range(top, bottom + 1))
+
+
+def _cross(a: Box, b: Box) -> bool:
+    """Whether two boxes overlap."""
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import quaternions, rotation_of
 from gvpipe.core.types import Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.files import read_regular_file
@@ -77,8 +77,7 @@ def _parse(text: bytes) -> StampedPose | str:
     norm = math.hypot(*values[4:])
     if abs(norm - 1.0) > NORM_TOLERANCE:
         return f"the quaternion's norm is {norm:.4g}; expected 1"
-    rotation = Rotation.from_quat(values[4:]).as_matrix()
-    return values[0], Pose(np.asarray(rotation, dtype=np.float64), np.array(values[1:4]))
+    return values[0], Pose(rotation_of(values[4:]), np.array(values[1:4]))
 
 
 def format_tum(poses: Iterable[StampedPose]) -> str:
@@ -95,8 +94,9 @@ def format_tum(poses: Iterable[StampedPose]) -> str:
         Every number at full precision, quaternions with qw >= 0.
     """
     lines = [HEADER]
-    for timestamp, pose in poses:
-        quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
+    stamped = list(poses)
+    turns = quaternions([pose for _, pose in stamped]).tolist()
+    for (timestamp, pose), quaternion in zip(stamped, turns, strict=True):
         values = (timestamp, *pose.translation, *quaternion)
         lines.append(" ".join(repr(float(value) + 0.0) for value in values))
     return "\n".join(lines) + "\n"

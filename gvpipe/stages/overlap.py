@@ -18,6 +18,7 @@ from gvpipe.core.overlap.signature import (
     common_ground,
     expected_overlap,
     ground_signature,
+    no_signature,
 )
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
@@ -159,9 +160,10 @@ def _describe(context: Context) -> tuple[dict[str, _Look], tuple[UnregisteredRow
 
 
 def _look(dataset: Dataset, image: str) -> _Look:
-    """Describe one picture."""
+    """Describe one picture; what a robot's own pictures share is not asked."""
     view = dataset.view(image)
-    return _Look(ground_histogram(view), ground_signature(view))
+    describe = ground_signature if len(dataset.robots) > 1 else no_signature
+    return _Look(ground_histogram(view), describe(view))
 
 
 def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iterator[_Meeting]:

@@ -9,7 +9,7 @@ from gvpipe.config import Config
 from gvpipe.core.geometry.pose import mount_of, yaw_tilt_roll
 from gvpipe.core.slam.links import Link, link_kind
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.slam.loops import gap_candidates, loop_candidates
+from gvpipe.core.slam.loops import gap_candidates, loop_candidates, without_bridges
 from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.errors import InputError
@@ -33,7 +33,8 @@ SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
 
 LOOP_ROUNDS = 2
-"""Searches for more links: the second sees the map that the first one's loops have mended."""
+"""Searches for more links: the second sees the map that the first one's loops have mended. A third
+only closes gaps and confirms single links."""
 
 LOOPS_PER_IMAGE = 6
 """New links tried an image and round: more hardly add to the accuracy, and each costs a match."""
@@ -43,6 +44,10 @@ MIN_SHARED_GROUND = 0.15
 
 MAX_GAP = 3
 """Pictures of a robot at most this far apart in its sequence are tried across a gap."""
+
+MAX_STRIDE = 2
+"""And at most this far to confirm a link that nothing else does: were it wrong, the map on either
+side would look sound, and show no common ground."""
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:
@@ -112,14 +117,18 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
         for link, judged in zip(links, result.links, strict=True)
         if not judged.kept and judged.residual_m is None
     }
-    for _ in range(LOOP_ROUNDS if settings.loops else 0):
-        pairs = _proposed(cameras, list(entries), result, tried)
-        found = list(_searched(context, pairs))
+    for search in range(LOOP_ROUNDS + 1 if settings.loops else 0):
+        pairs = _gaps(list(entries), links, result, tried, unconfirmed=search > 0)
+        if search < LOOP_ROUNDS:
+            pairs += _overlapping_ground(cameras, result, tried)
+        pairs = list(dict.fromkeys(pairs))
+        found = list(_searched(context, pairs)) if pairs else []
         tried |= set(pairs)
-        if not found:
+        if not found and search > 0:
             break
-        links += found
-        result = adjusted()
+        if found:
+            links += found
+            result = adjusted()
     if settings.control and not any(ground.fixed for ground in result.ground):
         raise InputError("slam.control: no map shows two different points of it")
     kept = tuple(link for link, x in zip(links, result.links, strict=True) if x.kept)
@@ -136,18 +145,35 @@ def _tried(context: Context) -> set[tuple[str, str]]:
     return pairs
 
 
-def _proposed(
-    cameras: dict[str, Camera], order: list[str], result: MapResult, tried: set[tuple[str, str]]
+def _overlapping_ground(
+    cameras: dict[str, Camera], result: MapResult, tried: set[tuple[str, str]]
 ) -> list[tuple[str, str]]:
-    """Pairs whose ground overlaps on the map, and pairs that may bridge a gap in a chain."""
+    """Pairs whose ground overlaps on the map."""
     pairs = []
     for component in result.components:
         poses = {image: result.poses[image].map_from_camera for image in component}
         pairs += loop_candidates(
             cameras, poses, tried, min_share=MIN_SHARED_GROUND, max_per_image=LOOPS_PER_IMAGE
         )
-    pairs += gap_candidates(order, result.components, tried, max_gap=MAX_GAP)
-    return list(dict.fromkeys((c.image_i, c.image_j) for c in pairs))
+    return [(c.image_i, c.image_j) for c in pairs]
+
+
+def _gaps(
+    order: list[str],
+    links: list[Link],
+    result: MapResult,
+    tried: set[tuple[str, str]],
+    *,
+    unconfirmed: bool,
+) -> list[tuple[str, str]]:
+    """Pairs that may bridge a gap in a chain, or confirm what only one link holds together."""
+    pairs = gap_candidates(order, result.components, tried, max_gap=MAX_GAP)
+    if unconfirmed:
+        judged = zip(links, result.links, strict=True)
+        kept = {(link.image_i, link.image_j) for link, verdict in judged if verdict.kept}
+        parts = without_bridges(order, sorted(kept))
+        pairs += gap_candidates(order, parts, tried, max_gap=MAX_STRIDE)
+    return [(c.image_i, c.image_j) for c in pairs]
 
 
 def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:

@@ -24,7 +24,7 @@ from gvpipe.core.geometry.homography import apply, fit_linear
 from gvpipe.core.geometry.pose import planar_pose, rotation_vector, yaw_tilt_roll
 from gvpipe.core.slam.consistency import grow
 from gvpipe.core.slam.holding import hold, place_all
-from gvpipe.core.slam.links import Link, matches_of
+from gvpipe.core.slam.links import Link, LinkSet
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
 from gvpipe.core.slam.placements import Placements, disagreements
 from gvpipe.core.types import Camera, Float, Mount, Pose
@@ -157,12 +157,12 @@ def ate_m(found: Float, true: Float) -> float:
 
 def planar_graph(session: Session) -> Placements:
     """What each link says about its two cameras, held as their links show."""
-    of = {image: k for k, image in enumerate(session.images)}
-    ends = np.array([(of[x.image_i], of[x.image_j]) for x in session.links])
+    linked = LinkSet.of(session.links, session.images)
+    ends = linked.ends
     count = len(session.poses)
     cameras, group = [CAMERA] * count, np.zeros(count, dtype=np.int64)
-    held = hold(session.links, ends, cameras, [EXPECTED] * count, group)
-    placed = place_all(matches_of(session.links), ends, cameras, held.mounts)
+    held = hold(linked, cameras, [EXPECTED] * count, group)
+    placed = place_all(linked.matches, ends, cameras, held.mounts)
     return Placements(
         i=ends[:, 0],
         j=ends[:, 1],

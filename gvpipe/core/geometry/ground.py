@@ -1,5 +1,6 @@
 """The ground plane seen by a tilted camera: homographies, overhead views, footprints."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -31,9 +32,31 @@ def pixel_from_plane(camera: Camera, frame_from_camera: Pose) -> Float:
     -----
     The plane z = 0 drops the third column of ``K [R | t]`` (thesis eq. 3.2.2, corrected).
     """
-    camera_from_frame = frame_from_camera.inverse()
-    r, t = camera_from_frame.rotation, camera_from_frame.translation
-    return camera.matrix @ np.column_stack([r[:, 0], r[:, 1], t])
+    return pixels_from_plane(
+        camera.matrix, frame_from_camera.rotation, frame_from_camera.translation
+    )
+
+
+def pixels_from_plane(matrix: Float, rotation: Float, translation: Float) -> Float:
+    """Homographies (..., 3, 3) of :func:`pixel_from_plane` of many cameras.
+
+    Parameters
+    ----------
+    matrix : (..., 3, 3) float64
+        Calibration matrices.
+    rotation : (..., 3, 3) float64, translation : (..., 3) float64
+        Poses of the cameras in the frame.
+    """
+    back = np.swapaxes(rotation, -1, -2)
+    shift = -(back @ translation[..., None])
+    return np.asarray(matrix @ np.concatenate([back[..., :2], shift], axis=-1))
+
+
+def calibrations(cameras: Sequence[Camera]) -> Float:
+    """Calibration matrices (N, 3, 3) of cameras, of which most are the same."""
+    kinds: dict[Camera, int] = {}
+    number = [kinds.setdefault(camera, len(kinds)) for camera in cameras]
+    return np.array([camera.matrix for camera in kinds]).reshape(-1, 3, 3)[number]
 
 
 def pixel_from_ground(camera: Camera, mount: Mount) -> Float:

@@ -1,7 +1,8 @@
 """Orientation of a camera over the ground: tilt, roll and yaw from and to rotation matrices."""
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gvpipe.core.types import Float, Mount, Pose
 
@@ -24,11 +25,18 @@ def robot_from_camera(mount: Mount) -> Pose:
     The optical axis becomes ``(cos tilt, 0, -sin tilt)``. Roll turns the camera about its optical
     axis first, clockwise seen from behind: from x (right) towards y (down).
     """
-    c, s = np.cos(mount.tilt), np.sin(mount.tilt)
-    level = np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
-    cr, sr = np.cos(mount.roll), np.sin(mount.roll)
-    about_axis = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
-    return Pose(level @ about_axis, np.array([0.0, 0.0, mount.height]))
+    [rotation] = upright(np.array([mount.tilt]), np.array([mount.roll]))
+    return Pose(rotation, np.array([0.0, 0.0, mount.height]))
+
+
+def upright(tilt: Float, roll: Float) -> Float:
+    """Rotations (N, 3, 3) of :func:`robot_from_camera` of tilts and rolls (N,), radians."""
+    c, s, cr, sr = np.cos(tilt), np.sin(tilt), np.cos(roll), np.sin(roll)
+    out = np.zeros((len(tilt), 3, 3))
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = -s * sr, -s * cr, c
+    out[:, 1, 0], out[:, 1, 1] = -cr, sr
+    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = -c * sr, -c * cr, -s
+    return out
 
 
 def yaw_tilt_roll(map_from_camera: Float) -> tuple[float, float, float]:
@@ -96,9 +104,28 @@ def mount_of(map_from_camera: Pose) -> Mount:
 
 def rotation_vector(rotation: Float) -> Float:
     """Axis times angle, (3,) radians, of a rotation matrix."""
+    from scipy.spatial.transform import Rotation  # takes long to load, and few need it
+
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
 
 
+def quaternions(poses: Sequence[Pose]) -> Float:
+    """Write rotations of poses as unit quaternions (N, 4): x, y, z and w >= 0."""
+    from scipy.spatial.transform import Rotation
+
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    return np.asarray(Rotation.from_matrix(rotations).as_quat(canonical=True), dtype=np.float64)
+
+
 def rotation_matrix(rotation_vector: Float) -> Float:
-    """(3, 3) rotation matrix of an axis times angle, (3,) radians."""
+    """Rotation matrix (3, 3), or several, of an axis times angle, (3,) radians."""
+    from scipy.spatial.transform import Rotation
+
     return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix(), dtype=np.float64)
+
+
+def rotation_of(quaternion: Sequence[float]) -> Float:
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w that is not zero."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix(), dtype=np.float64)

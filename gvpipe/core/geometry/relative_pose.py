@@ -282,7 +282,9 @@ def motion_covariance(
     turned = ray @ rotation.T
     below = ray @ relative.normal / height
     # changes of the rays in camera j by each parameter, (8, N, 3)
-    by_turn = np.cross(np.eye(3)[:, None], turned[None])
+    x, y, z = turned.T
+    none = np.zeros(len(turned))
+    by_turn = np.array([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(0, 2, 1)
     by_shift = np.eye(3)[:, None] * below[:, None]
     by_normal = (ray @ side.T / height).T[:, :, None] * translation
     change = np.concatenate([by_turn, by_shift, by_normal]) @ camera_j.matrix.T

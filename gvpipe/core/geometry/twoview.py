@@ -8,6 +8,9 @@ from gvpipe.core.geometry.homography import normalise
 from gvpipe.core.kernels.twoview import fit_pair, pair_homography
 from gvpipe.core.types import Camera, Float, Mount, View
 
+SETTLED = 1e-7
+"""Share of the cost gained in a step after which a fit ends."""
+
 
 @dataclass(frozen=True)
 class PairPrior:
@@ -206,5 +209,6 @@ def fit_two_views(
         np.ascontiguousarray(whiten, dtype=np.float64),
         loss,
         iterations,
+        SETTLED,
     )
     return PairFit(start.with_parameters(theta), float(cost), np.asarray(information))

@@ -99,6 +99,96 @@ def evaluate(
 
 
 @kernel
+def _differentiate(
+    projection: Float, turned: Float, centre: Float, x: float, y: float, pixel: Float, out: Float
+) -> float:
+    """Differentiate a projected point by the six unknowns of its camera and by its place.
+
+    Rows of `out` (9, 2): these eight, then the residual; zero behind the camera. Returns the
+    squared residual.
+    """
+    g, z = projection, -centre[2]
+    x, y = x - centre[0], y - centre[1]
+    depth = g[2, 0] * x + g[2, 1] * y + g[2, 2] * z
+    if depth < MIN_DEPTH:
+        out[:] = 0.0
+        return BEHIND_PX2
+    s = 1.0 / depth
+    u = (g[0, 0] * x + g[0, 1] * y + g[0, 2] * z) * s
+    v = (g[1, 0] * x + g[1, 1] * y + g[1, 2] * z) * s
+    for q in range(2):
+        a, b = (g[0, q] - u * g[2, q]) * s, (g[1, q] - v * g[2, q]) * s
+        out[q, 0], out[q, 1], out[6 + q, 0], out[6 + q, 1] = -a, -b, a, b
+    for q in range(3):
+        h = turned[q]
+        by_w = h[2, 0] * x + h[2, 1] * y + h[2, 2] * z
+        out[2 + q, 0] = (h[0, 0] * x + h[0, 1] * y + h[0, 2] * z - u * by_w) * s
+        out[2 + q, 1] = (h[1, 0] * x + h[1, 1] * y + h[1, 2] * z - v * by_w) * s
+    out[5, 0] = (g[0, 2] - u * g[2, 2]) * s * z
+    out[5, 1] = (g[1, 2] - v * g[2, 2]) * s * z
+    u, v = u - pixel[0], v - pixel[1]
+    out[8, 0], out[8, 1] = u, v
+    return float(u * u + v * v)
+
+
+@kernel
+def _point_normal(by: Float, w: float, inverse: Float, pull: Float) -> None:
+    """Inverse normal matrix and gradient of a point from the derivatives of its observations."""
+    a, b, c, pull[:] = 0.0, 0.0, 0.0, 0.0
+    for d in by:
+        a += w * (d[6, 0] * d[6, 0] + d[6, 1] * d[6, 1])
+        b += w * (d[6, 0] * d[7, 0] + d[6, 1] * d[7, 1])
+        c += w * (d[7, 0] * d[7, 0] + d[7, 1] * d[7, 1])
+        pull[0] += w * (d[6, 0] * d[8, 0] + d[6, 1] * d[8, 1])
+        pull[1] += w * (d[7, 0] * d[8, 0] + d[7, 1] * d[8, 1])
+    determinant = a * c - b * b
+    inverse[:] = 0.0
+    if determinant > 0.0:
+        inverse[0, 0], inverse[1, 1] = c / determinant, a / determinant
+        inverse[0, 1] = inverse[1, 0] = -b / determinant
+
+
+@kernel
+def _reduce(
+    camera: Index,
+    pair_block: Index,
+    w: float,
+    by: Float,
+    inverse: Float,
+    pull: Float,
+    coupling: Float,
+    blocks: Float,
+    gradient: Float,
+) -> None:
+    """Add what one point says about its cameras, the point eliminated, to their system."""
+    reduced = np.empty((6, 2))
+    pair = 0
+    for a in range(len(camera)):
+        for p in range(6):
+            c0, c1 = w * by[a, p, 0], w * by[a, p, 1]
+            coupling[a, p, 0] = c0 * by[a, 6, 0] + c1 * by[a, 6, 1]
+            coupling[a, p, 1] = c0 * by[a, 7, 0] + c1 * by[a, 7, 1]
+    for a in range(len(camera)):
+        own, total, mine = blocks[pair_block[pair]], gradient[camera[a]], coupling[a]
+        for p in range(6):
+            c0, c1 = w * by[a, p, 0], w * by[a, p, 1]
+            r0 = mine[p, 0] * inverse[0, 0] + mine[p, 1] * inverse[1, 0]
+            r1 = mine[p, 0] * inverse[0, 1] + mine[p, 1] * inverse[1, 1]
+            reduced[p, 0], reduced[p, 1] = r0, r1
+            total[p] += c0 * by[a, 8, 0] + c1 * by[a, 8, 1] - r0 * pull[0] - r1 * pull[1]
+            for q in range(p, 6):
+                own[p, q] += c0 * by[a, q, 0] + c1 * by[a, q, 1] - r0 * mine[q, 0] - r1 * mine[q, 1]
+        pair += 1
+        for b in range(a + 1, len(camera)):
+            block, other = blocks[pair_block[pair]], coupling[b]
+            for p in range(6):
+                r0, r1 = reduced[p, 0], reduced[p, 1]
+                for q in range(6):
+                    block[p, q] -= r0 * other[q, 0] + r1 * other[q, 1]
+            pair += 1
+
+
+@kernel
 def linearise(
     projection: Float,
     turned: Float,
@@ -124,9 +214,10 @@ def linearise(
     Parameters
     ----------
     pair_block : (P,) int64
-        Block of each pair of observations of a point, in the order of the loops below.
+        Block of each pair of observations of a point, first <= second, the second fastest.
     blocks : (B, 6, 6) float64
-        Output, zero on entry: upper blocks of the reduced normal matrix.
+        Output, zero on entry: blocks of the reduced normal matrix, rows of the first camera,
+        columns of the second; of those on the diagonal the upper half.
     gradient : (N, 6) float64
         Output, zero on entry: reduced gradient (derivative of half the cost).
     coupling : (M, 6, 2) float64
@@ -142,80 +233,31 @@ def linearise(
     longest = 0
     for t in range(len(start) - 1):
         longest = max(longest, start[t + 1] - start[t])
-    jc = np.zeros((longest, 2, 6))
-    jp = np.zeros((2, 2))
-    reduced = np.zeros((6, 2))
+    by = np.zeros((longest, 9, 2))
     pair = 0
     for t in range(len(start) - 1):
-        first, count = start[t], start[t + 1] - start[t]
-        bound = loss_px * loss_px * (count - 1)
-        total = misfit(projection, centre, camera, pixel, start, weight, points, t)
-        track_weight = weight[t] / (1.0 + total / bound)
-        v00, v01, v11 = 0.0, 0.0, 0.0
-        g0, g1 = 0.0, 0.0
-        pair_first = pair
-        for a in range(count):
-            k = first + a
-            i = camera[k]
-            g = projection[i]
-            d = np.array([points[t, 0] - centre[i, 0], points[t, 1] - centre[i, 1], -centre[i, 2]])
-            y0 = g[0, 0] * d[0] + g[0, 1] * d[1] + g[0, 2] * d[2]
-            y1 = g[1, 0] * d[0] + g[1, 1] * d[1] + g[1, 2] * d[2]
-            y2 = g[2, 0] * d[0] + g[2, 1] * d[1] + g[2, 2] * d[2]
-            seen = y2 >= MIN_DEPTH
-            y2 = max(y2, MIN_DEPTH)
-            u, v = y0 / y2, y1 / y2
-            r0, r1 = u - pixel[k, 0], v - pixel[k, 1]
-            w = track_weight if seen else 0.0
-            for q in range(2):
-                jp[0, q] = (g[0, q] - u * g[2, q]) / y2
-                jp[1, q] = (g[1, q] - v * g[2, q]) / y2
-                jc[a, 0, q] = -jp[0, q]
-                jc[a, 1, q] = -jp[1, q]
-            for q in range(3):
-                h = turned[i, q]
-                z0 = h[0, 0] * d[0] + h[0, 1] * d[1] + h[0, 2] * d[2]
-                z1 = h[1, 0] * d[0] + h[1, 1] * d[1] + h[1, 2] * d[2]
-                z2 = h[2, 0] * d[0] + h[2, 1] * d[1] + h[2, 2] * d[2]
-                jc[a, 0, 2 + q] = (z0 - u * z2) / y2
-                jc[a, 1, 2 + q] = (z1 - v * z2) / y2
-            jc[a, 0, 5] = -(g[0, 2] - u * g[2, 2]) / y2 * centre[i, 2]
-            jc[a, 1, 5] = -(g[1, 2] - v * g[2, 2]) / y2 * centre[i, 2]
-            v00 += w * (jp[0, 0] * jp[0, 0] + jp[1, 0] * jp[1, 0])
-            v01 += w * (jp[0, 0] * jp[0, 1] + jp[1, 0] * jp[1, 1])
-            v11 += w * (jp[0, 1] * jp[0, 1] + jp[1, 1] * jp[1, 1])
-            g0 += w * (jp[0, 0] * r0 + jp[1, 0] * r1)
-            g1 += w * (jp[0, 1] * r0 + jp[1, 1] * r1)
-            own = pair_block[pair]
-            for p in range(6):
-                gradient[i, p] += w * (jc[a, 0, p] * r0 + jc[a, 1, p] * r1)
-                for q in range(2):
-                    coupling[k, p, q] = w * (jc[a, 0, p] * jp[0, q] + jc[a, 1, p] * jp[1, q])
-                for q in range(6):
-                    blocks[own, p, q] += w * (jc[a, 0, p] * jc[a, 0, q] + jc[a, 1, p] * jc[a, 1, q])
-            pair += count - a
-        determinant = v00 * v11 - v01 * v01
-        i00, i01, i11 = 0.0, 0.0, 0.0
-        if determinant > 0.0:
-            i00, i01, i11 = v11 / determinant, -v01 / determinant, v00 / determinant
-        point_inverse[t, 0, 0], point_inverse[t, 1, 1] = i00, i11
-        point_inverse[t, 0, 1] = point_inverse[t, 1, 0] = i01
-        point_gradient[t, 0], point_gradient[t, 1] = g0, g1
-        pair = pair_first
-        for a in range(count):
-            i = camera[first + a]
-            w = coupling[first + a]
-            for p in range(6):
-                reduced[p, 0] = w[p, 0] * i00 + w[p, 1] * i01
-                reduced[p, 1] = w[p, 0] * i01 + w[p, 1] * i11
-                gradient[i, p] -= reduced[p, 0] * g0 + reduced[p, 1] * g1
-            for b in range(a, count):
-                other = coupling[first + b]
-                block = blocks[pair_block[pair]]
-                for p in range(6):
-                    for q in range(6):
-                        block[p, q] -= reduced[p, 0] * other[q, 0] + reduced[p, 1] * other[q, 1]
-                pair += 1
+        first, last = start[t], start[t + 1]
+        x, y, total = points[t, 0], points[t, 1], 0.0
+        for k in range(first, last):
+            i, d = camera[k], by[k - first]
+            total += _differentiate(projection[i], turned[i], centre[i], x, y, pixel[k], d)
+        bound = loss_px * loss_px * (last - first - 1)
+        w = weight[t] / (1.0 + weight[t] * total / bound)
+        inverse, pull = point_inverse[t], point_gradient[t]
+        _point_normal(by[: last - first], w, inverse, pull)
+        pairs = (last - first) * (last - first + 1) // 2
+        _reduce(
+            camera[first:last],
+            pair_block[pair : pair + pairs],
+            w,
+            by,
+            inverse,
+            pull,
+            coupling[first:last],
+            blocks,
+            gradient,
+        )
+        pair += pairs
 
 
 @kernel

@@ -14,15 +14,17 @@ Index = NDArray[np.int64]
 
 @kernel
 def gathered_cells(
-    start: Index, p: Float, q: Float, h: Float, cells: int, stray: float
+    start: Index, p: Float, q: Float, which: Index, h: Float, cells: int, stray: float
 ) -> tuple[Index, Float, Float, Float]:
-    """Sum the matches of each link up in cells of image i.
+    """Sum the matches of some links up in cells of image i.
 
     A cell becomes one match: the mean pixel in i, and in j where the homography takes that, moved
     by the mean of the matches' departures from the homography.
 
     Parameters
     ----------
+    which : (E,) int64
+        The links.
     h : (E, 3, 3) float64
         Pixels of i to pixels of j, near enough to be affine within a cell.
     cells : int
@@ -33,22 +35,23 @@ def gathered_cells(
     Returns
     -------
     link : (C,) int64
-        Link of each cell.
+        Link of each cell, as a place in `which`.
     points_i, points_j : (C, 2) float64
         Pixels.
     weight : (C,) float64
         Matches in it.
     """
-    links = len(start) - 1
+    links = len(which)
     link = np.empty(links * cells * cells, dtype=np.int64)
     points_i, points_j = np.empty((len(link), 2)), np.empty((len(link), 2))
     weight = np.empty(len(link))
     total = np.empty((cells * cells, 5))
     count = 0
     for e in range(links):
-        n = start[e + 1] - start[e]
+        first, last = start[which[e]], start[which[e] + 1]
+        n = last - first
         off, miss = np.empty((n, 2)), np.empty(n)
-        a, b, g = p[start[e] : start[e + 1]], q[start[e] : start[e + 1]], h[e]
+        a, b, g = p[first:last], q[first:last], h[e]
         low, high = np.full(2, np.inf), np.full(2, -np.inf)
         for k in range(n):
             w = g[2, 0] * a[k, 0] + g[2, 1] * a[k, 1] + g[2, 2]

@@ -2,8 +2,11 @@
 
 Fronts are numbered children before parents; lists of lists are laid out one after the other with
 the beginnings in an array that ends in ``first``. A front's matrix has its own unknowns first, then
-those of its bound. Remainders wait on a stack: those of a front's children lie on top of it.
+those of its bound; its upper half counts. Remainders wait on a stack: those of a front's children
+lie on top of it.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,84 +16,26 @@ from gvpipe.core.types import Float
 
 Index = NDArray[np.int64]
 
-PANEL = 32
-"""Columns that are eliminated before the rest of the matrix is updated in one product."""
+STRIP, PANEL = 32, 192
+"""Rows that are eliminated before the rest of their panel is updated in one product, and rows of a
+panel, after which the rest of the matrix is."""
 
-ROWS = 96
-"""Rows of that product at a time: its upper half is not needed."""
-
-
-@kernel
-def eliminate(matrix: Float, count: int) -> bool:
-    """Eliminate the first unknowns of a dense symmetric matrix, of which the lower half counts.
-
-    The columns become those of the Cholesky factor, the rest the Schur complement; False if the
-    matrix is not positive definite.
-    """
-    width = len(matrix)
-    column = np.empty(PANEL)
-    for begin in range(0, count, PANEL):
-        end = min(begin + PANEL, count)
-        for c in range(begin, end):
-            if not matrix[c, c] > 0.0:
-                return False
-            pivot = np.sqrt(matrix[c, c])
-            for r in range(c, end):
-                matrix[r, c] /= pivot
-                column[r - begin] = matrix[r, c]
-            matrix[c, c] = pivot
-            for r in range(c + 1, end):
-                value = matrix[r, c]
-                for m in range(c + 1, r + 1):
-                    matrix[r, m] -= value * column[m - begin]
-            for r in range(end, width):
-                matrix[r, c] /= pivot
-                value = matrix[r, c]
-                for m in range(c + 1, end):
-                    matrix[r, m] -= value * column[m - begin]
-        if end < width:
-            panel = matrix[end:, begin:end].copy()
-            for r in range(0, width - end, ROWS):
-                last = min(r + ROWS, width - end)
-                matrix[end + r : end + last, end : end + last] -= np.dot(
-                    panel[r:last], panel[:last].T
-                )
-    return True
+ROWS = 64
+"""Rows of such a product at a time: what stays in the cache, and of the lower half little."""
 
 
-@kernel
-def factor_fronts(
-    size: int,
-    border: int,
-    own_first: Index,
-    bound_first: Index,
-    child_first: Index,
-    children: Index,
-    slot_first: Index,
-    slots: Index,
-    place_first: Index,
-    places: Index,
-    edge_first: Index,
-    edges: Index,
-    flipped: Index,
-    factor_first: Index,
-    stack_size: int,
-    diagonal: Float,
-    between: Float,
-    bordering: Float,
-    corner: Float,
-) -> tuple[bool, Float]:
-    """Cholesky factors of all fronts, one after the other.
+class Tree(NamedTuple):
+    """All fronts.
 
-    Parameters
+    Attributes
     ----------
-    size, border : int
-        Unknowns of a place, and of the border.
-    own_first, bound_first : (F + 1,) int64
-        Beginnings of the lists of unknowns of each front.
+    own_first, own : (F + 1,) int64, (S,) int64
+        Numbers of the unknowns that each front eliminates.
+    bound_first, bound : (F + 1,) int64, (B,) int64
+        Numbers of the unknowns that they touch and that are eliminated later, in that order.
     child_first, children : (F + 1,) int64, (F - roots,) int64
-        Children of each front.
-    slot_first, slots : (F + 1,) int64, (S,) int64
+        Fronts whose remainder is added to each front.
+    slot_first, slots : (F + 1,) int64, (B,) int64
         Where each front's bound lies within its parent.
     place_first, places : (F + 1,) int64, (N,) int64
         Places that each front eliminates.
@@ -102,6 +47,118 @@ def factor_fronts(
         Beginnings of the factors.
     stack_size : int
         Numbers that remainders take at most.
+    """
+
+    own_first: Index
+    own: Index
+    bound_first: Index
+    bound: Index
+    child_first: Index
+    children: Index
+    slot_first: Index
+    slots: Index
+    place_first: Index
+    places: Index
+    edge_first: Index
+    edges: Index
+    flipped: Index
+    factor_first: Index
+    stack_size: int
+
+
+@kernel
+def _eliminate_strip(matrix: Float, begin: int, end: int) -> bool:
+    """Turn a few rows into those of the factor; four at a time update the others of the strip."""
+    width = len(matrix)
+    for first in range(begin, end, 4):
+        last = min(first + 4, end)
+        for c in range(first, last):
+            row = matrix[c]
+            if not row[c] > 0.0:
+                return False
+            pivot = np.sqrt(row[c])
+            for k in range(c, width):
+                row[k] /= pivot
+            # the last rows of a strip may be fewer than four, and then none is left to update
+            for m in range(c + 1, last):
+                other, value = matrix[m], row[m]
+                for k in range(m, width):
+                    other[k] -= value * row[k]
+        for m in range(last, end):
+            r0, r1, r2, r3 = matrix[first], matrix[first + 1], matrix[first + 2], matrix[first + 3]
+            a, b, c, d, other = r0[m], r1[m], r2[m], r3[m], matrix[m]
+            for k in range(m, width):
+                other[k] -= a * r0[k] + b * r1[k] + c * r2[k] + d * r3[k]
+    return True
+
+
+@kernel
+def _subtract(matrix: Float, begin: int, end: int, stop: int) -> None:
+    """Subtract what the eliminated rows from `begin` to `end` leave in those from there on."""
+    if end >= stop:
+        return
+    panel = matrix[begin:end, end:].T.copy()
+    for r in range(end, stop, ROWS):
+        last = min(r + ROWS, stop)
+        matrix[r:last, r:] -= np.dot(panel[r - end : last - end], panel[r - end :].T)
+
+
+@kernel
+def eliminate(matrix: Float, count: int) -> bool:
+    """Eliminate the first unknowns of a dense symmetric matrix, of which the upper half counts.
+
+    Their rows become those of the Cholesky factor, the rest the Schur complement; False if the
+    matrix is not positive definite.
+    """
+    for begin in range(0, count, PANEL):
+        end = min(begin + PANEL, count)
+        for first in range(begin, end, STRIP):
+            last = min(first + STRIP, end)
+            if not _eliminate_strip(matrix, first, last):
+                return False
+            _subtract(matrix, first, last, end)
+        _subtract(matrix, begin, end, len(matrix))
+    return True
+
+
+@kernel
+def _assembled(
+    tree: Tree, front: int, diagonal: Float, between: Float, bordering: Float, corner: Float
+) -> Float:
+    """Matrix of a front without the remainders of its children, upper half."""
+    width = tree.own_first[front + 1] - tree.own_first[front]
+    width += tree.bound_first[front + 1] - tree.bound_first[front]
+    size = diagonal.shape[1]
+    matrix = np.zeros((width, width))
+    edge = width - len(corner)  # where the border begins
+    for n in range(tree.place_first[front], tree.place_first[front + 1]):
+        at, place = size * (n - tree.place_first[front]), tree.places[n]
+        for a in range(size):
+            for b in range(size):
+                matrix[at + a, at + b] = diagonal[place, a, b]
+            for b in range(len(corner)):
+                matrix[at + a, edge + b] = bordering[place, a, b]
+    if front == len(tree.own_first) - 2:
+        matrix[edge:, edge:] = corner
+    for e in range(tree.edge_first[front], tree.edge_first[front + 1]):
+        block = between[tree.edges[e, 0]]
+        row, column = size * tree.edges[e, 1], size * tree.edges[e, 2]
+        for a in range(size):
+            for b in range(size):
+                matrix[row + a, column + b] = block[b, a] if tree.flipped[e] else block[a, b]
+    return matrix
+
+
+@kernel
+def factor_fronts(
+    tree: Tree, diagonal: Float, between: Float, bordering: Float, corner: Float
+) -> tuple[bool, Float]:
+    """Cholesky factors of all fronts, one after the other.
+
+    Parameters
+    ----------
+    tree : Tree
+        The fronts.
     diagonal, between, bordering, corner
         See `Blocks`.
 
@@ -109,163 +166,119 @@ def factor_fronts(
     -------
     definite : bool
     factors : (L,) float64
-        Own columns of each front, rows of all its unknowns, row by row.
+        Own rows of each front over all its unknowns, row by row.
     """
-    factors, stack = np.empty(factor_first[-1]), np.empty(stack_size)
+    factors, stack = np.empty(tree.factor_first[-1]), np.empty(tree.stack_size)
     top = 0
-    for f in range(len(own_first) - 1):
-        own = own_first[f + 1] - own_first[f]
-        width = own + bound_first[f + 1] - bound_first[f]
-        matrix = np.zeros((width, width))
-        edge = width - border  # where the border begins
-        for n in range(place_first[f], place_first[f + 1]):
-            at = size * (n - place_first[f])
-            matrix[at : at + size, at : at + size] = diagonal[places[n]]
-            for b in range(border):
-                matrix[edge + b, at : at + size] = bordering[places[n], :, b]
-        if f == len(own_first) - 2:
-            matrix[edge:, edge:] = corner
-        for e in range(edge_first[f], edge_first[f + 1]):
-            row, column = size * edges[e, 1], size * edges[e, 2]
-            for a in range(size):
-                for b in range(size):
-                    if flipped[e]:
-                        matrix[row + a, column + b] = between[edges[e, 0], b, a]
-                    else:
-                        matrix[row + a, column + b] = between[edges[e, 0], a, b]
-        for n in range(child_first[f + 1] - 1, child_first[f] - 1, -1):
-            c = children[n]
-            slot = slots[slot_first[c] : slot_first[c + 1]]
+    for f in range(len(tree.own_first) - 1):
+        own = tree.own_first[f + 1] - tree.own_first[f]
+        matrix = _assembled(tree, f, diagonal, between, bordering, corner)
+        for n in range(tree.child_first[f + 1] - 1, tree.child_first[f] - 1, -1):
+            c = tree.children[n]
+            slot = tree.slots[tree.slot_first[c] : tree.slot_first[c + 1]]
             top -= len(slot) * len(slot)
             k = top
             for a in range(len(slot)):
-                for b in range(a + 1):
-                    matrix[slot[a], slot[b]] += stack[k + b]
+                row = matrix[slot[a]]
+                for b in range(a, len(slot)):
+                    row[slot[b]] += stack[k + b]
                 k += len(slot)
         if not eliminate(matrix, own):
             return False, factors
-        k = factor_first[f]
-        for a in range(width):
-            factors[k : k + own] = matrix[a, :own]
-            k += own
-        for a in range(own, width):
-            stack[top : top + width - own] = matrix[a, own:]
-            top += width - own
+        factors[tree.factor_first[f] : tree.factor_first[f + 1]] = matrix[:own].ravel()
+        for a in range(own, len(matrix)):
+            stack[top : top + len(matrix) - own] = matrix[a, own:]
+            top += len(matrix) - own
     return True, factors
 
 
 @kernel
-def solve_fronts(
-    own_first: Index,
-    own: Index,
-    bound_first: Index,
-    bound: Index,
-    factor_first: Index,
-    factors: Float,
-    x: Float,
-) -> None:
+def solve_fronts(tree: Tree, factors: Float, x: Float) -> None:
     """Solve for right sides (S, C) in place."""
-    fronts = len(own_first) - 1
+    fronts = len(tree.own_first) - 1
     for f in range(fronts):
-        here, there = (
-            own[own_first[f] : own_first[f + 1]],
-            bound[bound_first[f] : bound_first[f + 1]],
-        )
-        low = factors[factor_first[f] : factor_first[f + 1]].reshape(-1, max(len(here), 1))
+        here = tree.own[tree.own_first[f] : tree.own_first[f + 1]]
+        there = tree.bound[tree.bound_first[f] : tree.bound_first[f + 1]]
+        width = len(here) + len(there)
+        rows = factors[tree.factor_first[f] : tree.factor_first[f + 1]].reshape(-1, max(width, 1))
         for s in range(x.shape[1]):
+            y = np.zeros(width)
             for a in range(len(here)):
-                value = x[here[a], s]
-                for b in range(a):
-                    value -= low[a, b] * x[here[b], s]
-                x[here[a], s] = value / low[a, a]
-            if len(here):
-                for a in range(len(there)):
-                    value = 0.0
-                    for b in range(len(here)):
-                        value += low[len(here) + a, b] * x[here[b], s]
-                    x[there[a], s] -= value
+                y[a] += x[here[a], s]
+                y[a] /= rows[a, a]
+                x[here[a], s] = y[a]
+                for b in range(a + 1, width):
+                    y[b] -= y[a] * rows[a, b]
+            for b in range(len(there)):
+                x[there[b], s] += y[len(here) + b]
     for f in range(fronts - 1, -1, -1):
-        here, there = (
-            own[own_first[f] : own_first[f + 1]],
-            bound[bound_first[f] : bound_first[f + 1]],
-        )
-        if not len(here):
-            continue
-        low = factors[factor_first[f] : factor_first[f + 1]].reshape(-1, len(here))
+        here = tree.own[tree.own_first[f] : tree.own_first[f + 1]]
+        there = tree.bound[tree.bound_first[f] : tree.bound_first[f + 1]]
+        width = len(here) + len(there)
+        rows = factors[tree.factor_first[f] : tree.factor_first[f + 1]].reshape(-1, max(width, 1))
         for s in range(x.shape[1]):
-            for a in range(len(there)):
-                value = x[there[a], s]
-                for b in range(len(here)):
-                    x[here[b], s] -= low[len(here) + a, b] * value
+            y = np.empty(width)
+            for b in range(len(there)):
+                y[len(here) + b] = x[there[b], s]
             for a in range(len(here) - 1, -1, -1):
-                x[here[a], s] /= low[a, a]
-                for b in range(a):
-                    x[here[b], s] -= low[a, b] * x[here[a], s]
+                value = x[here[a], s]
+                for b in range(a + 1, width):
+                    value -= rows[a, b] * y[b]
+                y[a] = value / rows[a, a]
+                x[here[a], s] = y[a]
 
 
 @kernel
-def _inverse_lower(low: Float) -> Float:
-    """Inverse of a lower triangular matrix."""
-    n = len(low)
+def _inverse_upper(rows: Float) -> Float:
+    """Inverse of the upper triangle at the beginning of some rows."""
+    n = len(rows)
     out = np.zeros((n, n))
-    for r in range(n):
-        for m in range(r):
-            for c in range(m + 1):
-                out[r, c] -= low[r, m] * out[m, c]
-        for c in range(r):
-            out[r, c] /= low[r, r]
-        out[r, r] = 1.0 / low[r, r]
+    for r in range(n - 1, -1, -1):
+        for m in range(r + 1, n):
+            for c in range(m, n):
+                out[r, c] -= rows[r, m] * out[m, c]
+        for c in range(r + 1, n):
+            out[r, c] /= rows[r, r]
+        out[r, r] = 1.0 / rows[r, r]
     return out
 
 
 @kernel
-def marginal_fronts(
-    size: int,
-    own_first: Index,
-    bound_first: Index,
-    child_first: Index,
-    children: Index,
-    slot_first: Index,
-    slots: Index,
-    place_first: Index,
-    places: Index,
-    factor_first: Index,
-    factors: Float,
-    stack_size: int,
-) -> Float:
-    """Blocks (N, size, size) of the inverse on its diagonal; arguments as in `factor_fronts`.
+def marginal_fronts(size: int, tree: Tree, factors: Float) -> Float:
+    """Blocks (N, size, size) of the inverse on its diagonal; `factors` as of `factor_fronts`.
 
     With the inverse known on a front's bound, that on its own unknowns follows from its factor.
     """
-    out = np.empty((len(places), size, size))
-    stack = np.empty(stack_size)
+    out = np.empty((len(tree.places), size, size))
+    stack = np.empty(2 * tree.stack_size)
     top = 0
-    for f in range(len(own_first) - 2, -1, -1):
-        own = own_first[f + 1] - own_first[f]
-        rest = bound_first[f + 1] - bound_first[f]
+    for f in range(len(tree.own_first) - 2, -1, -1):
+        own = tree.own_first[f + 1] - tree.own_first[f]
+        rest = tree.bound_first[f + 1] - tree.bound_first[f]
         whole = np.empty((own + rest, own + rest))
         top -= rest * rest
         known = stack[top : top + rest * rest].copy().reshape(rest, rest)
         whole[own:, own:] = known
         if own:
-            low = factors[factor_first[f] : factor_first[f + 1]].reshape(own + rest, own)
-            back = _inverse_lower(low[:own])
-            inverse = np.dot(back.T, back)
+            rows = factors[tree.factor_first[f] : tree.factor_first[f + 1]].reshape(own, own + rest)
+            back = _inverse_upper(rows)
+            inverse = np.dot(back, back.T)
             if rest:
-                weight = np.dot(low[own:].copy(), back)
-                across = np.dot(known, weight)
-                whole[own:, :own] = -across
-                whole[:own, own:] = -across.T
-                inverse = inverse + np.dot(weight.T, across)
+                weight = np.dot(back, rows[:, own:].copy())
+                across = np.dot(weight, known)
+                whole[:own, own:] = -across
+                whole[own:, :own] = -across.T
+                inverse = inverse + np.dot(across, weight.T)
             whole[:own, :own] = inverse
-        for n in range(child_first[f], child_first[f + 1]):
-            c = children[n]
-            slot = slots[slot_first[c] : slot_first[c + 1]]
+        for n in range(tree.child_first[f], tree.child_first[f + 1]):
+            c = tree.children[n]
+            slot = tree.slots[tree.slot_first[c] : tree.slot_first[c + 1]]
             for a in range(len(slot)):
+                row = whole[slot[a]]
                 for b in range(len(slot)):
-                    stack[top + b] = whole[slot[a], slot[b]]
+                    stack[top + b] = row[slot[b]]
                 top += len(slot)
-        for n in range(place_first[f], place_first[f + 1]):
-            at = size * (n - place_first[f])
-            out[places[n]] = whole[at : at + size, at : at + size]
+        for n in range(tree.place_first[f], tree.place_first[f + 1]):
+            at = size * (n - tree.place_first[f])
+            out[tree.places[n]] = whole[at : at + size, at : at + size]
     return out

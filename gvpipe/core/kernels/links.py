@@ -100,15 +100,64 @@ def place_pair(
 
 @kernel
 def place_links(
-    start: Index, p: Float, q: Float, ends: Index, ground: Float, height: Float, rounds: int
+    start: Index, p: Float, q: Float, ends: Index, mount: Float, inverse: Float, rounds: int
 ) -> Float:
-    """Placements (E, 7) of all links, see :func:`place_pair`; `ground` (N, 3, 3) by image."""
-    out = np.empty((len(ends), 7))
+    """Placements (E, 7) of all links, see :func:`place_pair`.
+
+    Tilt, roll and height `mount` (N, 3) and inverse calibrations (N, 3, 3) are by image.
+    """
+    out, ground = np.empty((len(ends), 7)), np.empty((len(mount), 3, 3))
+    for k in range(len(mount)):
+        ground[k] = ground_from_pixel(mount[k, 0], mount[k, 1], mount[k, 2], inverse[k])
     for e in range(len(ends)):
         i, j = ends[e, 0], ends[e, 1]
         here = slice(start[e], start[e + 1])
-        out[e] = place_pair(p[here], q[here], ground[i], ground[j], height[i], rounds)
+        out[e] = place_pair(p[here], q[here], ground[i], ground[j], mount[i, 2], rounds)
     return out
+
+
+@kernel
+def _fit_link(
+    p: Float,
+    q: Float,
+    placement: Float,
+    mount_i: Float,
+    mount_j: Float,
+    inverse_i: Float,
+    matrix_j: Float,
+    prior_weight: Float,
+    losses: Float,
+    steps: int,
+    gain: float,
+) -> Float:
+    """Parameters (8,) of one link, see :func:`fit_links`."""
+    whiten, limit = np.zeros((len(p), 2, 2)), np.full(8, np.inf)
+    whiten[:, 0, 0], whiten[:, 1, 1] = 1.0, 1.0
+    c, s = np.cos(placement[4]), np.sin(placement[4])
+    prior = np.zeros(8)
+    prior[4], prior[5], prior[6], prior[7] = mount_i[0], mount_i[1], mount_j[0], mount_j[1]
+    theta = prior.copy()
+    theta[0] = placement[4]
+    theta[1] = placement[2] - c * placement[0] + s * placement[1]
+    theta[2] = placement[3] - s * placement[0] - c * placement[1]
+    for loss in losses:
+        theta, _, _ = fit_pair(
+            theta,
+            prior,
+            prior_weight,
+            limit,
+            inverse_i,
+            matrix_j,
+            mount_i[2],
+            mount_j[2],
+            p,
+            q,
+            whiten,
+            loss,
+            steps,
+            gain,
+        )
+    return theta
 
 
 @kernel
@@ -124,6 +173,7 @@ def fit_links(
     prior_weight: Float,
     losses: Float,
     steps: int,
+    gain: float,
 ) -> tuple[Float, Float]:
     """Two-view geometry of all links, from their placements on.
 
@@ -141,6 +191,8 @@ def fit_links(
         Loss scales of the descents, one after the other, pixels.
     steps : int
         Most steps of a descent.
+    gain : float
+        Share of the cost gained in a step after which a descent ends.
 
     Returns
     -------
@@ -150,43 +202,24 @@ def fit_links(
         Median transfer error in image j, pixels.
     """
     theta, error = np.full((len(ends), 8), np.nan), np.full(len(ends), np.inf)
-    limit = np.full(8, np.inf)
     for e in range(len(ends)):
         if not np.isfinite(placement[e, 0]):
             continue
         i, j = ends[e, 0], ends[e, 1]
         a, b = p[start[e] : start[e + 1]], q[start[e] : start[e + 1]]
-        whiten = np.zeros((len(a), 2, 2))
-        whiten[:, 0, 0], whiten[:, 1, 1] = 1.0, 1.0
-        c, s = np.cos(placement[e, 4]), np.sin(placement[e, 4])
-        prior = np.zeros(8)
-        prior[4], prior[5], prior[6], prior[7] = (
-            mount[i, 0],
-            mount[i, 1],
-            mount[j, 0],
-            mount[j, 1],
+        theta[e] = _fit_link(
+            a,
+            b,
+            placement[e],
+            mount[i],
+            mount[j],
+            inverse[i],
+            matrix[j],
+            prior_weight,
+            losses,
+            steps,
+            gain,
         )
-        here = prior.copy()
-        here[0] = placement[e, 4]
-        here[1] = placement[e, 2] - c * placement[e, 0] + s * placement[e, 1]
-        here[2] = placement[e, 3] - s * placement[e, 0] - c * placement[e, 1]
-        for loss in losses:
-            here, _, _ = fit_pair(
-                here,
-                prior,
-                prior_weight,
-                limit,
-                inverse[i],
-                matrix[j],
-                mount[i, 2],
-                mount[j, 2],
-                a,
-                b,
-                whiten,
-                loss,
-                steps,
-            )
-        theta[e] = here
-        h = pair_homography(here, inverse[i], matrix[j], mount[i, 2], mount[j, 2])
+        h = pair_homography(theta[e], inverse[i], matrix[j], mount[i, 2], mount[j, 2])
         error[e] = median_miss(h, a, b)
     return theta, error

@@ -13,7 +13,6 @@ from gvpipe.core.types import Float
 
 _WALL = 0.01  # width of the wall at a parameter's limit, radians (or log units)
 _STEP = 1e-7  # finite difference of the homography's entries: relative error 1e-7, steers only
-_SETTLED = 1e-7  # relative gain of a step after which the descent ends
 
 
 @kernel
@@ -176,6 +175,7 @@ def fit_pair(
     whiten: Float,
     loss: float,
     iterations: int,
+    gain: float,
 ) -> tuple[Float, float, Float]:
     """Levenberg-Marquardt over the eight parameters.
 
@@ -197,6 +197,8 @@ def fit_pair(
         Geman-McClure scale in standard deviations.
     iterations : int
         Most steps, accepted or not.
+    gain : float
+        Share of the cost gained in a step after which the descent ends.
 
     Returns
     -------
@@ -226,7 +228,7 @@ def fit_pair(
             loss,
         )
         if new_cost < cost:
-            settled = cost - new_cost < _SETTLED * cost
+            settled = cost - new_cost < gain * cost
             theta, cost, a, b = trial, new_cost, new_a, new_b
             damping = max(damping * 0.2, 1e-9)
             if settled:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from gvpipe.core.geometry.twoview import PairPrior, TwoView
 from gvpipe.core.kernels.patches import BLANK
@@ -105,7 +105,8 @@ def weigh(aligned: Aligned, covariance: Float, expected: TwoView, prior: PairPri
     unlikely = 0.5 * float(off @ off) / np.log(10.0)
     inliers = int(aligned.agrees.sum())
     tested = int((aligned.correlation > BLANK).sum())
-    tail = float(binom.logsf(inliers - 1, tested, _CHANCE)) / np.log(10.0)
+    with np.errstate(divide="ignore"):
+        tail = float(np.log10(bdtrc(inliers - 1, tested, _CHANCE)))
     return Evidence(
         inliers=inliers,
         tested=tested,

@@ -78,11 +78,16 @@ class Signature:
     descriptors: NDArray[np.float32]
 
 
+def no_signature(view: View) -> Signature:
+    """Return a signature without spots."""
+    nothing = (np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32))
+    return Signature(view.camera, view.mount, *nothing)
+
+
 def ground_signature(view: View) -> Signature:
     """Describe the ground a view sees; without spots if it sees none or has no texture."""
     height = view.mount.height
-    nothing = (np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32))
-    empty = Signature(view.camera, view.mount, *nothing)
+    empty = no_signature(view)
     try:
         grid = overhead_grid(
             view.camera, view.mount, PIXELS_PER_HEIGHT / height, RANGE_HEIGHTS * height

@@ -6,6 +6,7 @@ import numpy as np
 
 from gvpipe.core.geometry.pose import yaw_tilt_roll
 from gvpipe.core.slam.control import Control, placed_by
+from gvpipe.core.slam.fronts import Factor
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.normal import marginal_covariances
 from gvpipe.core.slam.rig import Rig, Spread, State, orientation, pose_jacobians, rescaled
@@ -109,9 +110,9 @@ def begin(
 
 def approach(problem: Problem, start: Adjusted) -> Adjusted:
     """Bring cameras near to their places when only rough ones are known, see :func:`begin`."""
-    state = problem.minimise(start.state, start.spread, FIRST_LOSS_PX, 1.0, STEPS, FIRST_GAIN)
+    state, _ = problem.minimise(start.state, start.spread, FIRST_LOSS_PX, 1.0, STEPS, FIRST_GAIN)
     loss_px, noise_px = _noise(problem, state)
-    state = problem.minimise(state, start.spread, loss_px, noise_px, STEPS, FIRST_GAIN)
+    state, _ = problem.minimise(state, start.spread, loss_px, noise_px, STEPS, FIRST_GAIN)
     return replace(start, state=state, loss_px=loss_px, noise_px=noise_px)
 
 
@@ -138,17 +139,19 @@ def adjust(problem: Problem, start: Adjusted, height_sigma: float | None) -> Adj
     """
     state, spread = start.state, start.spread
     loss_px, noise_px = start.loss_px, start.noise_px
+    factor: Factor | None = None
     for _ in range(ROUNDS):
-        state = problem.minimise(state, spread, loss_px, noise_px, STEPS, ROUND_GAIN)
+        state, factor = problem.minimise(state, spread, loss_px, noise_px, STEPS, ROUND_GAIN)
         state = rescaled(state, spread)
-        variance = _variances(problem, state, spread, loss_px, noise_px)
+        factor = factor or problem.normal(state, spread, loss_px, noise_px).factor()
+        variance = _variances(problem, state, factor)
         tighter = _within(problem.rig, state, spread, variance, height_sigma)
         loss_px, new_noise_px = _noise(problem, state)
         change = np.abs(np.log(np.append(tighter.within / spread.within, new_noise_px / noise_px)))
         spread, noise_px = tighter, new_noise_px
         if change.max() < SETTLED:
             break
-    state = problem.minimise(state, spread, loss_px, noise_px, STEPS, LAST_GAIN)
+    state, _ = problem.minimise(state, spread, loss_px, noise_px, STEPS, LAST_GAIN, factor)
     state = rescaled(state, spread)
     return Adjusted(state, spread, loss_px, noise_px)
 
@@ -174,7 +177,7 @@ def fixed_by(adjusted: Adjusted, problem: Problem, control: Control) -> tuple[Ad
     mean[:, 2] = UNKNOWN_SCALE
     spread = replace(adjusted.spread, mean=mean)
     state = placed_by(control, problem.rig, adjusted.state)
-    state = problem.minimise(
+    state, _ = problem.minimise(
         state, spread, adjusted.loss_px, adjusted.noise_px, 3 * STEPS, LAST_GAIN
     )
     return replace(adjusted, state=state, spread=spread), problem
@@ -201,13 +204,10 @@ def _noise(problem: Problem, state: State) -> tuple[float, float]:
     return float(np.sqrt(loss_sq)), max(float(np.sqrt(variance)) / curvature, LEAST_NOISE_PX)
 
 
-def _variances(
-    problem: Problem, state: State, spread: Spread, loss_px: float, noise_px: float
-) -> Float:
+def _variances(problem: Problem, state: State, factor: Factor) -> Float:
     """Variances (N, 3) of the deviations from the robots' means, given data and present priors."""
-    normal = problem.normal(state, spread, loss_px, noise_px)
     cameras, groups = len(state.cameras), len(state.means)
-    own, beside = marginal_covariances(normal, 6 * cameras + np.arange(3 * groups))
+    own, beside = marginal_covariances(factor, problem.held, 6 * cameras + np.arange(3 * groups))
     picked = 3 * problem.rig.group[:, None] + np.arange(3)
     mixed = beside[6 * np.arange(cameras)[:, None] + 3 + np.arange(3), picked]
     mean = np.diagonal(beside[6 * cameras :])[picked]
@@ -266,12 +266,12 @@ def pose_covariances(
     normal = problem.normal(adjusted.state, adjusted.spread, adjusted.loss_px, noise_px)
     count = len(cameras)
     lean = (6 * reference + np.array([3, 4])).astype(np.int64)
-    own, beside = marginal_covariances(normal, lean)
+    own, beside = marginal_covariances(normal.factor(), problem.held, lean)
     cross = beside[: 6 * count].reshape(count, 6, 2)
     jacobian = pose_jacobians(rig, cameras)
     if problem.control:
         return np.asarray(jacobian @ own @ jacobian.transpose(0, 2, 1))
-    rotation = orientation(rig, cameras)[0][reference].T
+    rotation = orientation(rig, cameras)[reference].T
     # change of the axis' heading by the two leans of the reference
     turning = jacobian[reference][:3, 3:5]
     upright = rotation[:, 2] if np.hypot(*rotation[:2, 2]) > 1e-9 else -rotation[:, 1]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.slam.rig import Rig, State, centres, orientation
+from gvpipe.core.slam.rig import Rig, State, centres, orientation, turning
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Float
 
@@ -63,7 +63,7 @@ class Control:
 
     def _project(self, rig: Rig, cameras: Float) -> tuple[Float, Float]:
         """Pixels (C, 2) of the known points and their derivatives (C, 2, 6)."""
-        rotation, turned = orientation(rig, cameras)
+        rotation, turned = orientation(rig, cameras), turning(rig, cameras)
         matrix = rig.matrix[self.camera]
         projection = matrix @ rotation[self.camera]
         centre = centres(rig, cameras)[self.camera]
@@ -117,7 +117,7 @@ def placed_by(control: Control, rig: Rig, state: State) -> State:
 
 def _on_the_ground(control: Control, rig: Rig, cameras: Float) -> Float:
     """Where the pixels meet the ground, (C, 2) metres; NaN above the horizon."""
-    rotation = orientation(rig, cameras)[0][control.camera]
+    rotation = orientation(rig, cameras)[control.camera]
     centre = centres(rig, cameras)[control.camera]
     pixel = np.column_stack([control.pixel, np.ones(len(control.pixel))])
     ray = np.linalg.solve(rig.matrix[control.camera] @ rotation, pixel[:, :, None])[:, :, 0]

@@ -13,6 +13,9 @@ import numpy as np
 from gvpipe.core.geometry.homography import apply
 from gvpipe.core.types import Float
 
+JUDGED_LINKS = 400
+"""Links that tell how much of the errors is shared: their mean is good to a few per cent."""
+
 MIN_POINTS = 30
 """Matches that tell the smooth part of their errors from the rest: three an unknown of it."""
 

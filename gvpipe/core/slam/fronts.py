@@ -12,102 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.kernels.fronts import factor_fronts, marginal_fronts, solve_fronts
+from gvpipe.core.kernels.fronts import Tree, factor_fronts, marginal_fronts, solve_fronts
 from gvpipe.core.types import Float
 
 Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 LEAF = 6
 """Places that are eliminated at once instead of being split further."""
 
 MAX_CUT = 0.4
 """Share of a set's places above which cutting it in two gains nothing."""
-
-
-@dataclass(frozen=True)
-class Front:
-    """Places eliminated together.
-
-    Attributes
-    ----------
-    own : (O,) int64
-        Numbers of the unknowns eliminated here.
-    bound : (B,) int64
-        Numbers of the unknowns that they touch and that are eliminated later, in that order.
-    children : list of int
-        Fronts whose remainder is added here.
-    slots : list of (B,) int64
-        Where the children's `bound` lie among this front's `own` and `bound`.
-    places : (P,) int64
-        Own places; the rest of `own` are unknowns of the border.
-    edges : (E, 3) int64
-        Blocks below the diagonal that are added here, and their rows and columns among its places.
-    flipped : (E,) int64
-        1 where they are added transposed.
-    """
-
-    own: Index
-    bound: Index
-    children: list[int]
-    slots: list[Index]
-    places: Index
-    edges: Index
-    flipped: Index
-
-
-@dataclass(frozen=True)
-class Tree:
-    """All fronts, laid out for the loops in :mod:`gvpipe.core.kernels.fronts`."""
-
-    own_first: Index
-    own: Index
-    bound_first: Index
-    bound: Index
-    child_first: Index
-    children: Index
-    slot_first: Index
-    slots: Index
-    place_first: Index
-    places: Index
-    edge_first: Index
-    edges: Index
-    flipped: Index
-    factor_first: Index
-    stack_size: int
-
-
-def _laid_out(fronts: list[Front]) -> Tree:
-    """Lay the lists of the fronts out one after the other."""
-    slot: list[Index] = [np.empty(0, dtype=np.int64) for _ in fronts]
-    for front in fronts:
-        for child, where in zip(front.children, front.slots, strict=True):
-            slot[child] = where
-    own, bound = [x.own for x in fronts], [x.bound for x in fronts]
-    rest = np.array([len(x) for x in bound])
-    sizes = [len(x) * (len(x) + r) for x, r in zip(own, rest.tolist(), strict=True)]
-    waiting, most = 0, 0
-    for k, front in enumerate(fronts):
-        waiting += int(rest[k] ** 2)
-        most = max(most, waiting)
-        waiting -= int((rest[front.children] ** 2).sum())
-    return Tree(
-        *_joined(own),
-        *_joined(bound),
-        *_joined([np.array(x.children, dtype=np.int64) for x in fronts]),
-        *_joined(slot),
-        *_joined([x.places for x in fronts]),
-        _joined([x.flipped for x in fronts])[0],
-        np.concatenate([x.edges for x in fronts]),
-        np.concatenate([x.flipped for x in fronts]),
-        np.cumsum([0, *sizes], dtype=np.int64),
-        most,
-    )
-
-
-def _joined(lists: list[Index]) -> tuple[Index, Index]:
-    """Beginnings of lists, and the lists one after the other."""
-    first = np.cumsum([0, *map(len, lists)], dtype=np.int64)
-    return first, np.concatenate(lists).astype(np.int64)
 
 
 class Dissection:
@@ -128,101 +43,164 @@ class Dissection:
     def __init__(self, i: Index, j: Index, where: Float, size: int, border: int = 0) -> None:
         self.i, self.j, self.size, self.border = i, j, size, border
         self.count = len(where)
-        sets: list[tuple[Index, list[int]]] = []
-        side = np.zeros(self.count, dtype=np.int64)
-        _split(np.arange(self.count), i, j, where, side, sets)
-        self.tree = _laid_out(self._fronts(sets))
-
-    def _fronts(self, sets: list[tuple[Index, list[int]]]) -> list[Front]:
-        """Find what each front touches, children before parents."""
-        turn = np.concatenate([own for own, _ in sets])
-        rank = np.empty(self.count, dtype=np.int64)
-        rank[turn] = np.arange(self.count)
-        first = np.minimum(rank[self.i], rank[self.j])
-        order = np.argsort(first, kind="stable")
-        begin = np.searchsorted(first[order], np.append(0, np.cumsum([len(o) for o, _ in sets])))
-        later = np.maximum(rank[self.i], rank[self.j])
-        flipped = rank[self.i] > rank[self.j]
-        tail = self.size * self.count + np.arange(self.border)
-        bounds: list[Index] = []
-        out = []
-        done = 0
-        for k, (own, children) in enumerate(sets):
-            edges = order[begin[k] : begin[k + 1]]
-            known = np.arange(done, done + len(own))
-            done += len(own)
-            bound = np.unique(np.concatenate([later[edges], *(bounds[c] for c in children)]))
-            bound = bound[bound >= done]
-            bounds.append(bound)
-            last = k == len(sets) - 1
-            here = np.append(known, bound)
-            slots = []
-            for c in children:
-                slots.append(
-                    np.concatenate(
-                        [
-                            self._unknowns(np.searchsorted(here, bounds[c])),
-                            self.size * len(here) + np.arange(self.border),
-                        ]
-                    )
-                )
-            mine, rest = self._unknowns(own), self._unknowns(turn[bound])
-            if last:
-                mine = np.append(mine, tail)
-            else:
-                rest = np.append(rest, tail)
-            at = np.searchsorted(here, np.column_stack([later[edges], first[edges]]))
-            out.append(
-                Front(
-                    own=mine,
-                    bound=rest,
-                    children=children,
-                    slots=slots,
-                    places=own,
-                    edges=np.column_stack([edges, at]),
-                    flipped=(~flipped[edges]).astype(np.int64),
-                )
-            )
-        return out
-
-    def _unknowns(self, places: Index) -> Index:
-        """Numbers of the unknowns of places."""
-        return (self.size * places[:, None] + np.arange(self.size)).ravel()
+        self.tree = _laid_out(i, j, *_children_first(*_split(i, j, where)), size, border)
 
 
-def _split(
-    members: Index,
-    i: Index,
-    j: Index,
-    where: Float,
-    side: Index,
-    out: list[tuple[Index, list[int]]],
-) -> int:
-    """Append the sets of a dissection, parts before cuts; return the number of the last."""
-    children: list[int] = []
-    own = members
-    if len(members) > LEAF:
-        across = [_halved(members, i, j, where[:, axis], side) for axis in (0, 1)]
-        cut = _halved(members, i, j, where[:, int(len(across[1]) < len(across[0]))], side)
-        if len(cut) <= MAX_CUT * len(members):
-            side[cut] = 2
-            own = cut
-            parts = [(members[side[members] == s], (side[i] == s) & (side[j] == s)) for s in (0, 1)]
-            children = [
-                _split(part, i[inside], j[inside], where, side, out) for part, inside in parts
-            ]
-    out.append((np.sort(own), children))
-    return len(out) - 1
+def _split(i: Index, j: Index, where: Float) -> tuple[Index, Index]:
+    """Cut the places in two again and again, all sets of a level at once.
+
+    Returns the set (N,) that each place is left in, and the parent (F,) of each set: the cuts are
+    the parents of the parts. Parents come first; the first has the parent -1.
+    """
+    left_in, label_of = np.empty((2, len(where)), dtype=np.int64)
+    parents = [np.array([-1])]
+    members, label = np.arange(len(where)), np.zeros(len(where), dtype=np.int64)
+    first, count = 0, 1
+    while count:
+        label_of[:] = -1
+        label_of[members], left_in[members] = label, first + label
+        inside = (label_of[i] == label_of[j]) & (label_of[i] >= 0)
+        i, j = i[inside], j[inside]
+        sizes = np.bincount(label, minlength=count)
+        (far_x, cut_x, cost_x), (far_y, cut_y, cost_y) = (
+            _halved(members, label_of, sizes, where[:, axis], i, j) for axis in (0, 1)
+        )
+        by_y = (cost_y < cost_x)[label]
+        side = np.where(by_y, far_y[members], far_x[members])
+        cut = np.where(by_y, cut_y[members], cut_x[members])
+        deeper = (sizes > LEAF) & (np.minimum(cost_x, cost_y) <= MAX_CUT * sizes)
+        down = deeper[label] & ~cut
+        label = (2 * (np.cumsum(deeper) - 1)[label] + side)[down]
+        members = members[down]
+        parents.append(first + np.repeat(np.nonzero(deeper)[0], 2))
+        first, count = first + count, 2 * int(deeper.sum())
+    return left_in, np.concatenate(parents)
 
 
-def _halved(members: Index, i: Index, j: Index, along: Float, side: Index) -> Index:
-    """Put half of the members on either side; return the fewer ends of links that cross."""
-    order = members[np.argsort(along[members], kind="stable")]
-    side[order] = np.arange(len(order)) >= len(order) // 2
-    crossing = side[i] != side[j]
-    low = np.unique(np.where(side[i] == 0, i, j)[crossing])
-    high = np.unique(np.where(side[i] == 0, j, i)[crossing])
-    return low if len(low) <= len(high) else high
+def _halved(
+    members: Index, label_of: Index, sizes: Index, along: Float, i: Index, j: Index
+) -> tuple[Mask, Mask, Index]:
+    """Put half of each set on either side.
+
+    Returns the far side (N,), the fewer ends of each set's links that cross (N,), and how many
+    those are (C,).
+    """
+    order = members[np.lexsort((along[members], label_of[members]))]
+    label = label_of[order]
+    far, cut = np.zeros((2, len(along)), dtype=bool)
+    far[order] = np.arange(len(order)) - (np.cumsum(sizes) - sizes)[label] >= (sizes // 2)[label]
+    crossing = far[i] != far[j]
+    a, b = i[crossing], j[crossing]
+    ends, costs = [], []
+    for end in (np.where(far[a], b, a), np.where(far[a], a, b)):
+        touched = np.zeros(len(along), dtype=bool)
+        touched[end] = True
+        ends.append(np.nonzero(touched)[0])
+        costs.append(np.bincount(label_of[ends[-1]], minlength=len(sizes)))
+    nearer = costs[0] <= costs[1]
+    for end, taken in zip(ends, (nearer, ~nearer), strict=True):
+        cut[end[taken[label_of[end]]]] = True
+    return far, cut, np.minimum(*costs)
+
+
+def _children_first(left_in: Index, parent: Index) -> tuple[Index, Index]:
+    """Give sets new numbers, such that each one's descendants come right before it."""
+    sizes = np.ones(len(parent), dtype=np.int64)
+    for f in range(len(parent) - 1, 0, -1):
+        sizes[parent[f]] += sizes[f]
+    number = np.empty(len(parent), dtype=np.int64)
+    number[0] = len(parent) - 1
+    for f in range(1, len(parent), 2):  # sets come in pairs, the two halves
+        number[f + 1] = number[parent[f]] - 1
+        number[f] = number[f + 1] - sizes[f + 1]
+    renumbered = np.full(len(parent), -1)
+    renumbered[number[1:]] = number[parent[1:]]
+    return number[left_in], renumbered
+
+
+def _laid_out(i: Index, j: Index, front: Index, parent: Index, size: int, border: int) -> Tree:
+    """Lay out what each front eliminates and touches, with the border after everything else."""
+    count, fronts = len(front), len(parent)
+    turn = np.argsort(front, kind="stable")
+    rank = np.empty(count, dtype=np.int64)
+    rank[turn] = np.arange(count)
+    place_first = np.append(0, np.cumsum(np.bincount(front, minlength=fronts)))
+    early, late = np.minimum(rank[i], rank[j]), np.maximum(rank[i], rank[j])
+    order = np.argsort(early, kind="stable")
+    early, late, at = early[order], late[order], front[turn[early[order]]]
+    bound = _touched(at * count + late, parent, place_first, count)
+    of, touched = np.divmod(bound, count)
+    bound_first = np.searchsorted(of, np.arange(fronts + 1))
+
+    def within(f: Index, ranks: Index) -> Index:
+        """Where places lie in fronts: among the own ones, or after them among the bound ones."""
+        after = np.searchsorted(bound, f * count + ranks) - bound_first[f]
+        own = ranks - place_first[f]
+        return np.where(ranks < place_first[f + 1], own, after + np.diff(place_first)[f])
+
+    last = np.arange(fronts) == fronts - 1
+    tail = np.full(fronts, border)
+    end = size * count  # number of the first unknown of the border
+    own_first, own = _unknowns(place_first, turn, size, np.where(last, tail, 0), end)
+    rest = np.where(last, 0, tail)
+    width = size * (np.diff(place_first) + np.diff(bound_first))
+    slots = within(parent[of], touched)
+    bound_unknowns = _unknowns(bound_first, turn[touched], size, rest, end)
+    owns, rests = np.diff(own_first), np.diff(bound_unknowns[0])
+    consumed = np.bincount(parent[:-1], rests[:-1].astype(np.float64) ** 2, minlength=fronts)
+    waiting = np.cumsum(rests**2) - np.cumsum(consumed) + consumed
+    return Tree(
+        own_first,
+        own,
+        *bound_unknowns,
+        np.append(0, np.cumsum(np.bincount(parent[:-1], minlength=fronts))),
+        np.argsort(parent[:-1], kind="stable"),
+        *_unknowns(bound_first, slots, size, rest, np.append(width[parent[:-1]], 0)),
+        place_first,
+        turn,
+        np.searchsorted(at, np.arange(fronts + 1)),
+        np.column_stack([order, within(at, early), within(at, late)]),
+        (rank[i] > rank[j])[order].astype(np.int64),
+        np.append(0, np.cumsum(owns * (owns + rests))),
+        int(waiting.max(initial=0)),
+    )
+
+
+def _touched(links: Index, parent: Index, place_first: Index, count: int) -> Index:
+    """Places that each front touches and that are eliminated after it, as front * count + rank.
+
+    A front touches what its own links reach and what its children leave to it.
+    """
+    depth = np.zeros(len(parent), dtype=np.int64)
+    for f in range(len(parent) - 2, -1, -1):
+        depth[f] = depth[parent[f]] + 1
+    found = []
+    passed = np.empty(0, dtype=np.int64)
+    for level in range(int(depth.max()), -1, -1):
+        own = links[depth[links // count] == level]
+        front, rank = np.divmod(np.unique(np.concatenate([own, passed])), count)
+        later = rank >= place_first[front + 1]
+        front, rank = front[later], rank[later]
+        found.append(front * count + rank)
+        passed = parent[front] * count + rank
+    return np.sort(np.concatenate(found))
+
+
+def _unknowns(
+    first: Index, places: Index, size: int, tail: Index, end: int | Index
+) -> tuple[Index, Index]:
+    """List the unknowns of lists of places, with as many of the border, from `end` on, after."""
+    lengths = np.diff(first)
+    start = np.append(0, np.cumsum(size * lengths + tail))
+    out = np.empty(start[-1], dtype=np.int64)
+    number = np.repeat(np.arange(len(lengths)), lengths)
+    at = start[number] + size * (np.arange(len(places)) - first[number])
+    for k in range(size):
+        out[at + k] = size * places + k
+    for k in range(int(tail.max(initial=0))):
+        has = tail > k
+        out[(start[1:] - tail)[has] + k] = np.broadcast_to(end, has.shape)[has] + k
+    return start, out
 
 
 @dataclass(frozen=True)
@@ -258,23 +236,8 @@ class Factor:
 
     def __init__(self, plan: Dissection, blocks: Blocks) -> None:
         self.plan = plan
-        tree = plan.tree
         definite, self._factors = factor_fronts(
-            plan.size,
-            plan.border,
-            tree.own_first,
-            tree.bound_first,
-            tree.child_first,
-            tree.children,
-            tree.slot_first,
-            tree.slots,
-            tree.place_first,
-            tree.places,
-            tree.edge_first,
-            tree.edges,
-            tree.flipped,
-            tree.factor_first,
-            tree.stack_size,
+            plan.tree,
             np.ascontiguousarray(blocks.diagonal),
             np.ascontiguousarray(blocks.between),
             np.ascontiguousarray(blocks.border),
@@ -285,35 +248,10 @@ class Factor:
 
     def solve(self, right: Float) -> Float:
         """Solve for right sides (S,) or (S, C)."""
-        tree = self.plan.tree
         x = right.reshape(len(right), -1).astype(np.float64)
-        solve_fronts(
-            tree.own_first,
-            tree.own,
-            tree.bound_first,
-            tree.bound,
-            tree.factor_first,
-            self._factors,
-            x,
-        )
+        solve_fronts(self.plan.tree, self._factors, x)
         return x.reshape(right.shape)
 
     def marginals(self) -> Float:
         """Blocks (N, S, S) of the inverse on its diagonal."""
-        tree = self.plan.tree
-        return np.asarray(
-            marginal_fronts(
-                self.plan.size,
-                tree.own_first,
-                tree.bound_first,
-                tree.child_first,
-                tree.children,
-                tree.slot_first,
-                tree.slots,
-                tree.place_first,
-                tree.places,
-                tree.factor_first,
-                self._factors,
-                2 * tree.stack_size,
-            )
-        )
+        return np.asarray(marginal_fronts(self.plan.size, self.plan.tree, self._factors))

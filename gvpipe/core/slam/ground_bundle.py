@@ -6,15 +6,27 @@ import numpy as np
 
 from gvpipe.core.kernels import bundle as kernels
 from gvpipe.core.slam.control import Control
-from gvpipe.core.slam.fronts import Dissection
+from gvpipe.core.slam.fronts import Dissection, Factor
 from gvpipe.core.slam.normal import Normal
-from gvpipe.core.slam.rig import Rig, Spread, State, centres, orientation, prior_cost, prior_normal
+from gvpipe.core.slam.rig import (
+    Rig,
+    Spread,
+    State,
+    centres,
+    orientation,
+    prior_cost,
+    prior_normal,
+    turning,
+)
 from gvpipe.core.slam.tracks import Index, Tracks
 from gvpipe.core.types import Float
 
 FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8
 """Share by which the diagonal is raised at first, and where the search for a step ends."""
+
+TRUE = 0.5
+"""Share of what a factor promises of a step that the step must gain for the factor to go on."""
 
 
 class Problem:
@@ -38,22 +50,19 @@ class Problem:
         self.where = np.zeros((len(rig.height), 2)) if where is None else where
         self.groups = int(rig.group.max()) + 1
         n = len(rig.height)
-        lengths = np.diff(tracks.start)
-        first, second = _observation_pairs(tracks.start, lengths)
+        first, second = _observation_pairs(tracks.start, np.diff(tracks.start))
         keys = tracks.camera[first] * n + tracks.camera[second]
-        block_keys, block = np.unique(keys, return_inverse=True)
-        self._pair_block = block.ravel().astype(np.int64)
-        row, column = block_keys // n, block_keys % n
-        self._own = row == column
-        self._seen = row[self._own]
-        self._plan = Dissection(
-            row[~self._own], column[~self._own], self.where, size=6, border=3 * self.groups
-        )
+        apart = tracks.camera[first] != tracks.camera[second]
+        linked, number = np.unique(keys[apart], return_inverse=True)
+        # blocks on the diagonal have the numbers of their cameras, the others follow
+        self._pair_block = tracks.camera[first].copy()
+        self._pair_block[apart] = n + number
+        self._plan = Dissection(linked // n, linked % n, self.where, size=6, border=3 * self.groups)
         self.held = 6 * reference + np.arange(3 if control is None else 0)
 
     def initial_points(self, cameras: Float) -> Float:
         """Mean of where the observations of each track meet the ground, (T, 2) metres."""
-        rotation, _ = orientation(self.rig, cameras)
+        rotation = orientation(self.rig, cameras)
         centre = centres(self.rig, cameras)
         back = np.linalg.inv(self.rig.matrix @ rotation)
         seen = np.column_stack([self.tracks.pixel, np.ones(len(self.tracks.pixel))])
@@ -73,7 +82,7 @@ class Problem:
         return out
 
     def _robust_cost(self, state: State, loss_px: float, out: Float) -> float:
-        rotation, _ = orientation(self.rig, state.cameras)
+        rotation = orientation(self.rig, state.cameras)
         return kernels.evaluate(
             self.rig.matrix @ rotation,
             centres(self.rig, state.cameras),
@@ -100,30 +109,40 @@ class Problem:
         noise_px: float,
         steps: int,
         gain: float,
-    ) -> State:
-        """Levenberg-Marquardt until a step lowers the cost by a share below `gain`."""
+        factor: Factor | None = None,
+    ) -> tuple[State, Factor | None]:
+        """Levenberg-Marquardt until a step lowers the cost by a share below `gain`.
+
+        A factor serves as long as it foretells the gain of its steps: near the optimum systems
+        hardly change. One of before can be given; the last one, if hardly damped, is returned.
+        """
         damping = FIRST_DAMPING
         cost = self.cost(state, spread, loss_px, noise_px)
         for _ in range(steps):
             normal, gradient, elimination = self._linearise(state, spread, loss_px, noise_px)
             gained = 0.0
             while damping < MAX_DAMPING:
+                fresh = factor is None
                 try:
-                    step = normal.step(gradient, damping)
+                    factor = factor or normal.factor(damping)
                 except np.linalg.LinAlgError:
                     damping *= 10.0
                     continue
+                step = normal.step(factor, gradient)
                 trial = self._moved(state, step, elimination)
                 trial_cost = self.cost(trial, spread, loss_px, noise_px)
                 if trial_cost <= cost:
                     gained = cost - trial_cost
                     state, cost = trial, trial_cost
-                    damping /= 10.0
+                    damping /= 10.0 if fresh else 1.0
                     break
-                damping *= 10.0
+                factor = None
+                damping *= 10.0 if fresh else 1.0
             if gained <= gain * cost:
                 break
-        return state
+            if gained < -TRUE * float(gradient @ step) or damping > FIRST_DAMPING:
+                factor = None
+        return state, factor if damping <= FIRST_DAMPING else None
 
     def normal(self, state: State, spread: Spread, loss_px: float, noise_px: float) -> Normal:
         """Return the normal matrix of the cameras at `state`, the points eliminated."""
@@ -141,13 +160,11 @@ class Problem:
         self, state: State, spread: Spread, loss_px: float, noise_px: float
     ) -> tuple[Normal, Float, tuple[Float, Float, Float]]:
         n, m, t = len(state.cameras), len(self.tracks.camera), len(state.points)
-        rotation, turned = orientation(self.rig, state.cameras)
-        blocks, gradient = np.zeros((len(self._own), 6, 6)), np.zeros((n, 6))
-        coupling, inverse = np.empty((m, 6, 2)), np.empty((t, 2, 2))
-        point_gradient = np.empty((t, 2))
+        blocks, gradient = np.zeros((n + len(self._plan.i), 6, 6)), np.zeros((n, 6))
+        elimination = np.empty((m, 6, 2)), np.empty((t, 2, 2)), np.empty((t, 2))
         kernels.linearise(
-            self.rig.matrix @ rotation,
-            self.rig.matrix[:, None] @ turned,
+            self.rig.matrix @ orientation(self.rig, state.cameras),
+            self.rig.matrix[:, None] @ turning(self.rig, state.cameras),
             centres(self.rig, state.cameras),
             self.tracks.camera,
             self.tracks.pixel,
@@ -158,22 +175,21 @@ class Problem:
             self._pair_block,
             blocks,
             gradient,
-            coupling,
-            inverse,
-            point_gradient,
+            *elimination,
         )
-        blocks, gradient = blocks / noise_px**2, gradient / noise_px**2
+        blocks /= noise_px**2
+        gradient /= noise_px**2
         matrix, total = prior_normal(self.rig, state, spread)
-        matrix.diagonal[self._seen] += blocks[self._own]
+        matrix.diagonal[:] += blocks[:n] + np.triu(blocks[:n], 1).transpose(0, 2, 1)
         if self.control:
             known, pull = self.control.normal(self.rig, state.cameras)
             matrix.diagonal[:] += known
             gradient += pull
         total[: 6 * n] += gradient.ravel()
         return (
-            Normal(self._plan, replace(matrix, between=blocks[~self._own]), self.held),
+            Normal(self._plan, replace(matrix, between=blocks[n:]), self.held),
             total,
-            (coupling, inverse, point_gradient),
+            elimination,
         )
 
 

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, diags_array
 from scipy.sparse.linalg import splu
 
+from gvpipe.core.geometry.ground import calibrations
 from gvpipe.core.geometry.twoview import PairPrior
-from gvpipe.core.kernels.links import fit_links, ground_from_pixel, place_links
-from gvpipe.core.slam.links import Link, Matches, matches_of
+from gvpipe.core.kernels.links import fit_links, place_links
+from gvpipe.core.slam.links import Link, LinkSet, Matches
 from gvpipe.core.slam.placement import REWEIGHTINGS, place
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Camera, Float, Mount
@@ -34,8 +35,8 @@ LOSSES_PX = 20.0, 3.0
 """Loss scales of the descents, pixels: the first is wide enough to bend a plane that is degrees
 off into place."""
 
-MAX_STEPS = 30
-"""Steps of each, at most."""
+MAX_STEPS, SETTLED = 30, 1e-4
+"""Steps of each, at most, and the share of the cost gained in a step after which it ends."""
 
 MAX_FIT_PX = 3.0
 """Median error above which no motion over the ground explains a link's matches, pixels."""
@@ -78,8 +79,7 @@ class Held:
 
 
 def hold(
-    links: Sequence[Link],
-    ends: Index,
+    linked: LinkSet,
     cameras: Sequence[Camera],
     mounts: Sequence[Mount],
     group: Index,
@@ -88,10 +88,8 @@ def hold(
 
     Parameters
     ----------
-    links : sequence of Link
+    linked : LinkSet
         E links; some may be wrong.
-    ends : (E, 2) int64
-        Numbers of their images.
     cameras, mounts : sequence of Camera, sequence of Mount
         The N views as configured.
     group : (N,) int64
@@ -101,8 +99,9 @@ def hold(
     -------
     held : Held
     """
+    links, ends = linked.links, linked.ends
     mounts = _with_tilts(links, ends, cameras, mounts, group)
-    sample = matches_of(links, SAMPLE_POINTS)
+    sample = linked.matches.sampled(SAMPLE_POINTS)
     placed = place_all(sample, ends, cameras, mounts)
     fits, error_px = _fitted(sample, ends, placed, cameras, mounts)
     reasons = _verdicts(links, ends, placed, fits, error_px, mounts)
@@ -126,18 +125,16 @@ def place_all(
 
     Columns are those of :class:`Placement`; NaN where the matches do not lie on the ground.
     """
-    inverse = [camera.inverse for camera in cameras]
-    ground = [
-        ground_from_pixel(m.tilt, m.roll, m.height, k) for m, k in zip(mounts, inverse, strict=True)
-    ]
+    inverse = np.asarray(np.linalg.inv(calibrations(cameras)), dtype=np.float64)
+    held = np.array([(m.tilt, m.roll, m.height) for m in mounts]).reshape(-1, 3)
     return np.asarray(
         place_links(
             matches.start,
             matches.points_i,
             matches.points_j,
             ends,
-            np.array(ground).reshape(-1, 3, 3),
-            np.array([m.height for m in mounts]),
+            held,
+            inverse,
             REWEIGHTINGS,
         )
     )
@@ -151,7 +148,7 @@ def _fitted(
     mounts: Sequence[Mount],
 ) -> tuple[Float, Float]:
     """Fit the geometry of each link: parameters (E, 8) as of `TwoView`, median errors (E,)."""
-    matrix = np.array([camera.matrix for camera in cameras])
+    matrix = calibrations(cameras)
     theta, error = fit_links(
         sample.start,
         sample.points_i,
@@ -160,10 +157,11 @@ def _fitted(
         placed,
         np.array([(m.tilt, m.roll, m.height) for m in mounts]),
         matrix,
-        np.linalg.inv(matrix),
+        np.asarray(np.linalg.inv(matrix), dtype=np.float64),
         PRIOR.weights,
         np.array(LOSSES_PX),
         MAX_STEPS,
+        SETTLED,
     )
     return np.asarray(theta), np.asarray(error)
 
@@ -207,14 +205,23 @@ def _angles(ends: Index, fits: Float, mounts: Sequence[Mount], group: Index) -> 
     image = ends.ravel()
     seen = fits[:, 4:].reshape(-1, 2)
     out = np.array([(m.tilt, m.roll) for m in mounts]).reshape(-1, 2)
-    of_robot = group[image]
-    order = np.argsort(image, kind="stable")
-    bounds = np.searchsorted(image[order], np.arange(len(mounts) + 1))
-    usual = {g: np.median(seen[of_robot == g], axis=0) for g in np.unique(of_robot).tolist()}
-    for k in range(len(mounts)):
-        if int(group[k]) in usual:
-            own = seen[order[bounds[k] : bounds[k + 1]]]
-            out[k] = np.median(np.vstack([own, usual[int(group[k])]]), axis=0)
+    usual = _medians(group[image], seen, int(group.max(initial=0)) + 1)[group]
+    known = np.nonzero(np.isfinite(usual[:, 0]))[0]
+    votes = np.append(image, known), np.concatenate([seen, usual[known]])
+    out[known] = _medians(*votes, len(mounts))[known]
+    return out
+
+
+def _medians(group: Index, values: Float, count: int) -> Float:
+    """Medians (count, C) of values (N, C) by group; NaN for those without any."""
+    sizes = np.bincount(group, minlength=count)
+    first = np.cumsum(sizes) - sizes
+    out = np.full((count, values.shape[1]), np.nan)
+    some = sizes > 0
+    low, high = ((first + (sizes - k) // 2)[some] for k in (1, 0))
+    for column in range(values.shape[1]):
+        ordered = values[np.lexsort((values[:, column], group)), column]
+        out[some, column] = 0.5 * (ordered[low] + ordered[high])
     return out
 
 

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from gvpipe.core.types import Float
 
+Index = NDArray[np.int64]
+
 NEIGHBOURS = 5
 """Pictures of one robot up to this many places apart show the same ground because it has not
 gone far; a link between them is odometry and closes no loop."""
@@ -49,22 +51,72 @@ class Matches:
         Pixels.
     """
 
-    start: NDArray[np.int64]
+    start: Index
     points_i: Float
     points_j: Float
 
+    @property
+    def count(self) -> Index:
+        """Matches of each link, (E,)."""
+        return np.diff(self.start)
 
-def matches_of(links: Sequence[Link], at_most: int | None = None) -> Matches:
-    """Gather the matches of links; of each only every n-th if it has more than `at_most`."""
-    every = [1 if at_most is None else -(-max(len(x.points_i), 1) // at_most) for x in links]
-    points_i = [x.points_i[::n] for x, n in zip(links, every, strict=True)]
-    points_j = [x.points_j[::n] for x, n in zip(links, every, strict=True)]
+    def sampled(self, at_most: int) -> "Matches":
+        """Take of each link only every n-th match, so that it has no more than `at_most`."""
+        every = np.maximum(-(-self.count // at_most), 1)
+        count = -(-self.count // every)
+        start = np.append(0, np.cumsum(count))
+        at = np.arange(start[-1]) - np.repeat(start[:-1], count)
+        at = np.repeat(self.start[:-1], count) + np.repeat(every, count) * at
+        return Matches(start, self.points_i[at], self.points_j[at])
+
+
+def matches_of(links: Sequence[Link]) -> Matches:
+    """Gather the matches of links."""
     none = [np.empty((0, 2))]
     return Matches(
-        np.cumsum([0, *map(len, points_i)], dtype=np.int64),
-        np.concatenate(points_i + none).astype(np.float64, copy=False),
-        np.concatenate(points_j + none).astype(np.float64, copy=False),
+        np.cumsum([0, *(len(x.points_i) for x in links)], dtype=np.int64),
+        np.concatenate([x.points_i for x in links] + none).astype(np.float64, copy=False),
+        np.concatenate([x.points_j for x in links] + none).astype(np.float64, copy=False),
     )
+
+
+@dataclass(frozen=True)
+class LinkSet:
+    """Links between numbered images, and their matches.
+
+    Attributes
+    ----------
+    links : sequence of Link
+        E links.
+    ends : (E, 2) int64
+        Numbers of their images.
+    matches : Matches
+        Of these links, and perhaps of others.
+    number : (E,) int64
+        Where each link stands among those that have the matches.
+    """
+
+    links: Sequence[Link]
+    ends: Index
+    matches: Matches
+    number: Index
+
+    @staticmethod
+    def of(links: Sequence[Link], order: Sequence[str]) -> "LinkSet":
+        """Take the numbers of the images from their places in a list of all."""
+        place = {image: k for k, image in enumerate(order)}
+        ends = [(place[x.image_i], place[x.image_j]) for x in links]
+        return LinkSet(
+            links,
+            np.array(ends, dtype=np.int64).reshape(-1, 2),
+            matches_of(links),
+            np.arange(len(links)),
+        )
+
+    def pick(self, which: Index) -> "LinkSet":
+        """Return some of the links; their matches stay where they are."""
+        links = [self.links[k] for k in which.tolist()]
+        return LinkSet(links, self.ends[which], self.matches, self.number[which])
 
 
 def robot_of(image_id: str) -> str:

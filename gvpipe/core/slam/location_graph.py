@@ -7,16 +7,16 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from gvpipe.core.geometry.ground import calibrations, pixels_from_plane
 from gvpipe.core.geometry.pose import yaw_tilt_roll
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.holding import MIN_POINTS, hold
-from gvpipe.core.slam.links import Link, Matches, matches_of, robot_of
+from gvpipe.core.slam.links import Link, LinkSet, robot_of
 from gvpipe.core.slam.map_part import MapOptions, Part, Views, adjust_part
 from gvpipe.core.slam.map_result import Gathered, JudgedLink, MapResult, PosedImage, SeenGround
-from gvpipe.core.slam.placements import Mask
 from gvpipe.core.slam.screening import screen
 from gvpipe.core.slam.tracks import Index
-from gvpipe.core.slam.transfer import map_from_pixel, median_errors
+from gvpipe.core.slam.transfer import median_errors
 from gvpipe.core.types import Camera, Float, Mount
 
 __all__ = [
@@ -98,28 +98,22 @@ def build_map(
     for image in (reference, *named, *(point.image for point in control)):
         if image not in index:
             raise ValueError(f"{image} is not among the images to map")
-    ends = np.array([(index[x.image_i], index[x.image_j]) for x in links], dtype=np.int64)
-    ends = ends.reshape(-1, 2)
-    group = _robots(order)
-    held = hold(links, ends, [cameras[x] for x in order], [mounts[x] for x in order], group)
+    linked, group = LinkSet.of(links, order), _robots(order)
+    ends = linked.ends
+    held = hold(linked, [cameras[x] for x in order], [mounts[x] for x in order], group)
     usable = np.array([not reason for reason in held.reasons], dtype=bool)
     views = Views([cameras[x] for x in order], held.expected, held.mounts, group)
-    screened = screen(links, ends, usable, views.cameras, views.held)
+    screened = screen(linked, usable, views.cameras, views.held)
     planar, keep = screened.planar, screened.keep
-    known = Control(
-        camera=np.array([index[p.image] for p in control], dtype=np.int64),
-        pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
-        position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
-    )
-    matches = matches_of(links)
-    enough = np.diff(matches.start) >= MIN_POINTS
+    known = _numbered(control, index)
+    enough = linked.matches.count >= MIN_POINTS
     parts: list[Part] = []
     for revision in range(REVISIONS):
         parts = [
             adjust_part(
                 views,
                 members,
-                _inside(members, ends, links, keep),
+                linked.pick(np.nonzero(keep & np.isin(ends, members).all(axis=1))[0]),
                 planar,
                 options,
                 known,
@@ -127,7 +121,7 @@ def build_map(
             )
             for members in _connected(len(order), index[reference], ends[keep])
         ]
-        errors_px, distances_m = _errors(views, parts, ends, matches)
+        errors_px, distances_m = _errors(views, parts, linked)
         known_px = np.where(enough, errors_px, np.nan)
         revised = np.where(np.isnan(known_px), keep, known_px <= _limit_px(known_px[keep]))
         if (revised == keep).all() and revision > 0:
@@ -136,6 +130,15 @@ def build_map(
         keep = revised
     judged = Gathered(order, views, parts, ends, links, keep, known_px, distances_m)
     return judged.result(held.reasons)
+
+
+def _numbered(control: Sequence[ControlPoint], index: Mapping[str, int]) -> Control:
+    """Lay known points out as arrays."""
+    return Control(
+        camera=np.array([index[p.image] for p in control], dtype=np.int64),
+        pixel=np.array([p.pixel for p in control], dtype=np.float64).reshape(-1, 2),
+        position=np.array([p.position for p in control], dtype=np.float64).reshape(-1, 2),
+    )
 
 
 def _robots(order: Sequence[str]) -> Index:
@@ -156,26 +159,22 @@ def _connected(count: int, reference: int, ends: Index) -> list[Index]:
     return [part for part in parts if len(part) > 1 or count == 1]
 
 
-def _inside(
-    members: Index, ends: Index, links: Sequence[Link], keep: Mask
-) -> list[tuple[int, int, Link]]:
-    """Kept links between images of a component, with their images' numbers."""
-    which = np.nonzero(keep & np.isin(ends, members).all(axis=1))[0]
-    return [(int(ends[k, 0]), int(ends[k, 1]), links[k]) for k in which.tolist()]
-
-
-def _errors(views: Views, parts: list[Part], ends: Index, matches: Matches) -> tuple[Float, Float]:
+def _errors(views: Views, parts: list[Part], linked: LinkSet) -> tuple[Float, Float]:
     """Median error of each link under the map, pixels and metres; NaN where it cannot tell."""
+    ends, matches = linked.ends, linked.matches
     part_of = np.full(len(views.group), -1, dtype=np.int64)
     plane = np.tile(np.eye(3), (len(views.group), 1, 1))
+    matrix = calibrations(views.cameras)
     for number, part in enumerate(parts):
         part_of[part.members] = number
-        for k, p in zip(part.members.tolist(), part.poses, strict=True):
-            plane[k] = map_from_pixel(views.cameras[k], p)
+        rotation = np.array([p.rotation for p in part.poses])
+        translation = np.array([p.translation for p in part.poses])
+        plane[part.members] = pixels_from_plane(matrix[part.members], rotation, translation)
     together = (part_of[ends[:, 0]] == part_of[ends[:, 1]]) & (part_of[ends[:, 0]] >= 0)
-    which = np.nonzero(together & (np.diff(matches.start) > 0))[0]
+    which = np.nonzero(together & (matches.count > 0))[0]
+    ground = np.asarray(np.linalg.inv(plane), dtype=np.float64)
     errors_px, distances_m = np.full(len(ends), np.nan), np.full(len(ends), np.nan)
-    errors_px[which], distances_m[which] = median_errors(matches, ends, plane, which)
+    errors_px[which], distances_m[which] = median_errors(matches, ends, ground, which)
     return errors_px, distances_m
 
 

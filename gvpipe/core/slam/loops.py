@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from gvpipe.core.geometry.ground import ground_points, pixel_from_plane
-from gvpipe.core.geometry.homography import apply
-from gvpipe.core.geometry.pose import mount_of, yaw_tilt_roll
-from gvpipe.core.slam.links import robot_of
+from gvpipe.core.geometry.ground import calibrations, pixels_from_plane
+from gvpipe.core.kernels.footprints import shared_footprints
+from gvpipe.core.slam.links import Index, robot_of
 from gvpipe.core.types import Camera, Float, Pose
 
 RANGE_HEIGHTS = 5.0
@@ -67,61 +66,59 @@ def loop_candidates(
         Best overlap first.
     """
     images = list(poses)
-    seen = [_ground_seen(cameras[x], poses[x]) for x in images]
-    centre = np.array([s.mean(axis=0) if len(s) else [np.inf, np.inf] for s in seen])
-    reach = np.array(
-        [np.linalg.norm(s - c, axis=1).max(initial=0.0) for s, c in zip(seen, centre, strict=True)]
-    )
-    finite = np.nonzero(np.isfinite(centre).all(axis=1))[0]
-    if len(finite) < 2:
-        return []
-    near = cKDTree(centre[finite]).query_pairs(2.0 * float(reach.max()), output_type="ndarray")
-    near = np.sort(finite[near], axis=1)
-    apart = np.linalg.norm(centre[near[:, 0]] - centre[near[:, 1]], axis=1)
-    near = near[apart < reach[near].sum(axis=1)]
-    known = {frozenset(pair) for pair in linked}
-    projections = [pixel_from_plane(cameras[x], poses[x]) for x in images]
-    found = []
-    for i, j in near[np.lexsort((near[:, 1], near[:, 0]))].tolist():
-        if frozenset((images[i], images[j])) in known:
-            continue
-        share = min(
-            _share(seen[i], cameras[images[j]], projections[j]),
-            _share(seen[j], cameras[images[i]], projections[i]),
-        )
-        if share >= min_share:
-            found.append(Candidate(images[i], images[j], share))
+    number = {image: k for k, image in enumerate(images)}
+    own = [cameras[image] for image in images]
+    size = np.array([(c.width, c.height) for c in own], dtype=np.float64).reshape(-1, 2)
+    rotation = np.array([pose.rotation for pose in poses.values()]).reshape(-1, 3, 3)
+    position = np.array([pose.translation for pose in poses.values()]).reshape(-1, 3)
+    projection = pixels_from_plane(calibrations(own), rotation, position)
+    ground, first = _ground_seen(projection, size, position)
+    known = [(number[i], number[j]) for i, j in linked if i in number and j in number]
+    pairs = _near(ground, first, np.array(known, dtype=np.int64).reshape(-1, 2))
+    shares = np.asarray(shared_footprints(first, ground, projection, size, pairs))
+    found = [
+        Candidate(images[i], images[j], share)
+        for (i, j), share in zip(pairs.tolist(), shares.tolist(), strict=True)
+        if share >= min_share
+    ]
     found.sort(key=lambda c: (-c.share, c.image_i, c.image_j))
     return _thinned(found, max_per_image)
 
 
-def _ground_seen(camera: Camera, pose: Pose) -> Float:
-    """Ground points (S, 2) under a grid of pixels, as far as worth matching; map, metres."""
-    u = (np.arange(COLUMNS) + 0.5) * camera.width / COLUMNS - 0.5
-    v = (np.arange(ROWS) + 0.5) * camera.height / ROWS - 0.5
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    mount = mount_of(pose)
-    ground, below = ground_points(pixels, camera, mount)
-    near = below & (np.hypot(*ground.T) <= RANGE_HEIGHTS * mount.height)
-    heading = yaw_tilt_roll(pose.rotation)[0]
-    c, s = np.cos(heading), np.sin(heading)
-    return np.asarray(ground[near] @ np.array([[c, s], [-s, c]]) + pose.translation[:2])
+def _ground_seen(projection: Float, size: Float, position: Float) -> tuple[Float, Index]:
+    """Ground points (S, 2) of the map under a grid of pixels of each image, near enough to match.
+
+    Those of image n are ``first[n]:first[n + 1]``; `first` is the second array returned.
+    """
+    grid = np.meshgrid((np.arange(COLUMNS) + 0.5) / COLUMNS, (np.arange(ROWS) + 0.5) / ROWS)
+    pixel = np.stack(grid, axis=-1).reshape(1, -1, 2) * size[:, None] - 0.5
+    rays = np.concatenate([pixel, np.ones((*pixel.shape[:2], 1))], axis=-1)
+    rays = rays @ np.linalg.inv(projection).transpose(0, 2, 1)
+    below = rays[..., 2] > 0
+    ground = rays[..., :2] / np.where(below, rays[..., 2], 1.0)[..., None]
+    far = np.linalg.norm(ground - position[:, None, :2], axis=-1)
+    near = below & (far <= RANGE_HEIGHTS * position[:, None, 2])
+    return ground[near], np.append(0, np.cumsum(near.sum(axis=1)))
 
 
-def _visible(ground: Float, camera: Camera, pixel_from_map: Float) -> Float:
-    """Which ground points (S, 2) of the map project into an image, (S,) bool."""
-    w = ground @ pixel_from_map[2, :2] + pixel_from_map[2, 2]
-    pixel = apply(pixel_from_map, ground[w > 0])
-    inside = w > 0
-    inside[w > 0] = (
-        (pixel >= -0.5) & (pixel <= np.array([camera.width, camera.height]) - 0.5)
-    ).all(axis=1)
-    return inside
-
-
-def _share(ground: Float, camera: Camera, pixel_from_map: Float) -> float:
-    """Share of ground points that an image sees."""
-    return float(_visible(ground, camera, pixel_from_map).mean()) if len(ground) else 0.0
+def _near(ground: Float, first: Index, known: Index) -> Index:
+    """Pairs of images (P, 2) whose ground could overlap, without the known ones."""
+    image = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    count = np.bincount(image, minlength=len(first) - 1)
+    which = np.nonzero(count)[0]
+    if len(which) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    sums = [np.bincount(image, column, minlength=len(count)) for column in ground.T]
+    centre = np.column_stack(sums) / np.maximum(count, 1)[:, None]
+    reach = np.zeros(len(count))
+    np.maximum.at(reach, image, np.linalg.norm(ground - centre[image], axis=1))
+    pairs = cKDTree(centre[which]).query_pairs(2.0 * float(reach.max()), output_type="ndarray")
+    pairs = np.sort(which[pairs], axis=1)
+    apart = np.linalg.norm(centre[pairs[:, 0]] - centre[pairs[:, 1]], axis=1)
+    pairs = pairs[apart < reach[pairs].sum(axis=1)]
+    known = np.sort(known, axis=1)
+    old = np.isin(pairs @ [len(count), 1], known @ [len(count), 1])
+    return pairs[~old]
 
 
 def _thinned(candidates: list[Candidate], max_per_image: int) -> list[Candidate]:
@@ -136,6 +133,60 @@ def _thinned(candidates: list[Candidate], max_per_image: int) -> list[Candidate]
     return out
 
 
+def without_bridges(
+    images: Sequence[str], links: Collection[tuple[str, str]]
+) -> list[tuple[str, ...]]:
+    """Split images where one link alone holds parts together: nothing else confirms such a link.
+
+    Parameters
+    ----------
+    images : sequence of str
+        Image ids.
+    links : collection of (str, str)
+        Links between them.
+
+    Returns
+    -------
+    components : list of tuples of str
+        Images that still hang together whichever link is taken away.
+
+    Notes
+    -----
+    A link is a bridge if no other leads back from what lies beyond it (Tarjan's low links).
+    """
+    beside: dict[str, list[tuple[int, str]]] = {image: [] for image in images}
+    for k, (i, j) in enumerate(links):
+        beside[i].append((k, j))
+        beside[j].append((k, i))
+    reached: dict[str, int] = {}
+    back: dict[str, int] = {}  # the first image that can be reached again from here on
+    parts: list[tuple[str, ...]] = []
+    for root in images:
+        if root in reached:
+            continue
+        reached[root] = back[root] = len(reached)
+        way, waiting = [(root, -1, iter(beside[root]))], [root]
+        while way:
+            image, by, others = way[-1]
+            for k, other in others:
+                if other not in reached:
+                    reached[other] = back[other] = len(reached)
+                    way.append((other, k, iter(beside[other])))
+                    waiting.append(other)
+                    break
+                if k != by:
+                    back[image] = min(back[image], reached[other])
+            else:
+                way.pop()
+                if way:
+                    back[way[-1][0]] = min(back[way[-1][0]], back[image])
+                if back[image] == reached[image]:  # nothing beyond leads back before it
+                    first = waiting.index(image)
+                    parts.append(tuple(waiting[first:]))
+                    del waiting[first:]
+    return parts
+
+
 def gap_candidates(
     order: Sequence[str],
     components: Sequence[Sequence[str]],
@@ -143,7 +194,7 @@ def gap_candidates(
     *,
     max_gap: int,
 ) -> list[Candidate]:
-    """Pairs that could bridge a gap in a robot's chain: near in time but not connected.
+    """Find pairs that could bridge a gap in a robot's chain: near in time but not connected.
 
     Parameters
     ----------

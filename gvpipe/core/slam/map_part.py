@@ -4,15 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from gvpipe.core.geometry.ground import pixel_from_plane
-from gvpipe.core.geometry.pose import robot_from_camera, yaw_tilt_roll
+from gvpipe.core.geometry.ground import calibrations, pixel_from_plane
+from gvpipe.core.geometry.pose import rotation_matrix, upright, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
-from gvpipe.core.slam.correlation import shared_errors
+from gvpipe.core.slam.correlation import JUDGED_LINKS, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
-from gvpipe.core.slam.links import Link, matches_of
+from gvpipe.core.slam.links import LinkSet
 from gvpipe.core.slam.rig import Rig, centres, orientation
 from gvpipe.core.slam.tracks import Index, Tracks, cell_tracks, chain_matches
 from gvpipe.core.types import Camera, Float, Mount, Pose
@@ -23,9 +22,6 @@ UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
 MANY_MATCHES = 200_000
 """Matches of a component above which they are summed up before it is adjusted: about a thousand
 pictures. Below, every corner counts by itself, and once however many links share it."""
-
-JUDGED_LINKS = 400
-"""Links that tell how much of the errors is shared: their mean is good to a few per cent."""
 
 WELL_SEEN = 3.0
 """Camera heights to which the ground counts as the middle of the picture at most."""
@@ -103,7 +99,7 @@ class Part:
 def adjust_part(
     views: Views,
     members: Index,
-    links: Sequence[tuple[int, int, Link]],
+    linked: LinkSet,
     planar: Float,
     options: MapOptions,
     control: Control,
@@ -118,7 +114,7 @@ def adjust_part(
         All images.
     members : (M,) int64
         Images of the component, the one that defines its frame first.
-    links : sequence of (image i, image j, Link)
+    linked : LinkSet
         Links between them, which connect them all.
     planar : (N, 3) float64
         Position and heading of every image, in any common frame.
@@ -135,20 +131,13 @@ def adjust_part(
     -------
     part : Part
     """
-    _, group = np.unique(views.group[members], return_inverse=True)
-    rig = Rig(
-        matrix=np.stack([views.cameras[k].matrix for k in members.tolist()]),
-        robot_from_camera=np.stack(
-            [robot_from_camera(views.mounts[k]).rotation for k in members.tolist()]
-        ),
-        height=np.array([views.mounts[k].height for k in members.tolist()]),
-        group=group.ravel().astype(np.int64),
-    )
+    rig = _rig(views, members)
     start = _start(rig, [views.held[k] for k in members.tolist()], planar[members])
-    slot = {int(k): n for n, k in enumerate(members)}
-    tracks = _tracks([(slot[i], slot[j]) for i, j, _ in links], [link for _, _, link in links])
+    slot = np.full(len(planar), -1)
+    slot[members] = np.arange(len(members))
+    tracks = _tracks(slot[linked.ends], linked)
     none = np.zeros((len(members), 6, 6))
-    if not links:
+    if not linked.links:
         return Part(members, _poses(rig, start, _turn(rig, start)), none, tracks, np.empty((0, 2)))
     problem = Problem(rig, tracks, 0, where=_looked_at(rig, start))
     mean_sigma = _mean_sigma(views, members, rig.group, options)
@@ -167,11 +156,7 @@ def adjust_part(
         adjusted, problem = fixed_by(adjusted, problem, own)
         turn = np.eye(3)
     poses = _poses(rig, adjusted.state.cameras, turn)
-    plane = [pixel_from_plane(views.cameras[k], p) for k, p in zip(members, poses, strict=True)]
-    shared = shared_errors(
-        (plane[slot[j]] @ np.linalg.inv(plane[slot[i]]), link.points_i, link.points_j)
-        for i, j, link in links[:: -(-len(links) // JUDGED_LINKS)]
-    )
+    shared = _shared(views, members, poses, slot, linked)
     return Part(
         members,
         poses,
@@ -182,19 +167,48 @@ def adjust_part(
     )
 
 
-def _tracks(pairs: list[tuple[int, int]], links: list[Link]) -> Tracks:
+def _rig(views: Views, members: Index) -> Rig:
+    """Gather what is known of the cameras of a component."""
+    _, group = np.unique(views.group[members], return_inverse=True)
+    mounts = [views.mounts[k] for k in members.tolist()]
+    return Rig(
+        matrix=calibrations([views.cameras[k] for k in members.tolist()]),
+        robot_from_camera=_upright(mounts),
+        height=np.array([mount.height for mount in mounts]),
+        group=group.ravel().astype(np.int64),
+    )
+
+
+def _shared(views: Views, members: Index, poses: list[Pose], slot: Index, linked: LinkSet) -> float:
+    """How much the errors of matches have in common, from some of the links."""
+    cameras = [views.cameras[k] for k in members.tolist()]
+    plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
+    every = slice(None, None, -(-len(linked.links) // JUDGED_LINKS))
+    ends = slot[linked.ends[every]].tolist()
+    return shared_errors(
+        (plane[j] @ np.linalg.inv(plane[i]), link.points_i, link.points_j)
+        for (i, j), link in zip(ends, linked.links[every], strict=True)
+    )
+
+
+def _tracks(ends: Index, linked: LinkSet) -> Tracks:
     """Chain matches to points, or sum them up if there are too many."""
-    if sum(len(link.points_i) for link in links) <= MANY_MATCHES:
-        return chain_matches(pairs, [(link.points_i, link.points_j) for link in links])
-    homographies = np.array([link.homography for link in links])
-    return cell_tracks(np.array(pairs, dtype=np.int64), matches_of(links), homographies)
+    if linked.matches.count[linked.number].sum() <= MANY_MATCHES:
+        pairs = [(int(i), int(j)) for i, j in ends]
+        return chain_matches(pairs, [(link.points_i, link.points_j) for link in linked.links])
+    homographies = np.array([link.homography for link in linked.links])
+    return cell_tracks(ends, linked.matches, linked.number, homographies)
 
 
-def _own(control: Control, slot: dict[int, int]) -> Control:
+def _own(control: Control, slot: Index) -> Control:
     """Known points in images of a component, with their numbers within it."""
-    which = np.array([k for k, image in enumerate(control.camera.tolist()) if image in slot], int)
-    camera = np.array([slot[k] for k in control.camera[which].tolist()], dtype=np.int64)
-    return Control(camera, control.pixel[which], control.position[which])
+    which = slot[control.camera] >= 0
+    return Control(slot[control.camera[which]], control.pixel[which], control.position[which])
+
+
+def _upright(mounts: Sequence[Mount]) -> Float:
+    """Orientations (M, 3, 3) of cameras in their robots' frames."""
+    return upright(np.array([m.tilt for m in mounts]), np.array([m.roll for m in mounts]))
 
 
 def _mean_sigma(views: Views, members: Index, group: Index, options: MapOptions) -> Float:
@@ -212,13 +226,12 @@ def _start(rig: Rig, held: Sequence[Mount], planar: Float) -> Float:
     start = np.zeros((len(held), 6))
     start[:, :3] = _seen_from(planar[0], planar)
     # as a turn about a level axis, then a heading: what lies upright tells the axis
-    turned = np.stack([robot_from_camera(m).rotation for m in held])
-    turned = turned @ rig.robot_from_camera.transpose(0, 2, 1)
+    turned = _upright(held) @ rig.robot_from_camera.transpose(0, 2, 1)
     up = turned[:, 2]
     sine = np.hypot(up[:, 0], up[:, 1])
     angle = np.arctan2(sine, up[:, 2]) / np.maximum(sine, 1e-12)
     level = np.column_stack([up[:, 1], -up[:, 0], np.zeros(len(up))]) * angle[:, None]
-    heading = turned @ Rotation.from_rotvec(-level).as_matrix()
+    heading = turned @ rotation_matrix(-level)
     start[:, 2] += np.arctan2(heading[:, 1, 0], heading[:, 0, 0])
     start[:, 3:5] = level[:, 1::-1]
     start[:, 5] = np.log([m.height for m in held] / rig.height)
@@ -236,19 +249,19 @@ def _seen_from(origin: Float, planar: Float) -> Float:
 
 def _looked_at(rig: Rig, cameras: Float) -> Float:
     """Ground (N, 2) in the middle of what each camera sees well: what is linked lies near."""
-    axis = orientation(rig, cameras)[0][:, 2]
+    axis = orientation(rig, cameras)[:, 2]
     reach = np.minimum(-1.0 / np.minimum(axis[:, 2], -1e-9), WELL_SEEN)
     return np.asarray(cameras[:, :2] + axis[:, :2] * (reach * rig.height)[:, None])
 
 
 def _turn(rig: Rig, cameras: Float) -> Float:
     """Rotation (3, 3) about the vertical that brings the axis of camera 0 to x."""
-    angle = -yaw_tilt_roll(orientation(rig, cameras)[0][0].T)[0]
+    angle = -yaw_tilt_roll(orientation(rig, cameras)[0].T)[0]
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _poses(rig: Rig, cameras: Float, turn: Float) -> list[Pose]:
     """Poses in a frame turned about the vertical."""
-    rotation = orientation(rig, cameras)[0].transpose(0, 2, 1)
+    rotation = orientation(rig, cameras).transpose(0, 2, 1)
     return [Pose(turn @ r, turn @ t) for r, t in zip(rotation, centres(rig, cameras), strict=True)]

@@ -46,26 +46,22 @@ class Normal:
             self.plan, replace(self.blocks, diagonal=self.blocks.diagonal * raised, corner=corner)
         )
 
-    def step(self, gradient: Float, damping: float) -> Float:
-        """Step (S,) over all unknowns against a gradient.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is not positive definite.
-        """
+    def step(self, factor: Factor, gradient: Float) -> Float:
+        """Step (S,) over all unknowns against a gradient, by factors of this matrix or one near."""
         right = -gradient
         right[self.held] = 0.0
-        return self.factor(damping).solve(right)
+        return factor.solve(right)
 
 
-def marginal_covariances(normal: Normal, beside: Index) -> tuple[Float, Float]:
+def marginal_covariances(factor: Factor, held: Index, beside: Index) -> tuple[Float, Float]:
     """Covariance blocks of the inverse normal matrix.
 
     Parameters
     ----------
-    normal : Normal
-        Of N cameras.
+    factor : Factor
+        Of a :class:`Normal` of N cameras.
+    held : (H,) int64
+        Unknowns that are held fixed in it.
     beside : (C,) int64
         Further unknowns whose covariance with all is wanted; none of them held.
 
@@ -76,10 +72,9 @@ def marginal_covariances(normal: Normal, beside: Index) -> tuple[Float, Float]:
     cross : (S, C) float64
         Covariance of all unknowns with those in `beside`.
     """
-    plan = normal.plan
-    factor = normal.factor()
+    plan = factor.plan
     own = factor.marginals()
-    camera, unknown = np.divmod(normal.held, plan.size)
+    camera, unknown = np.divmod(held, plan.size)
     own[camera, unknown, unknown] = 0.0
     columns = np.zeros((plan.size * plan.count + plan.border, len(beside)))
     columns[beside, np.arange(len(beside))] = 1.0

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from gvpipe.core.geometry.pose import rotation_matrix
 from gvpipe.core.slam.fronts import Blocks
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Float
@@ -72,35 +72,42 @@ class State:
     points: Float
 
 
-def orientation(rig: Rig, cameras: Float) -> tuple[Float, Float]:
-    """Rotations of the cameras and their derivatives.
-
-    Parameters
-    ----------
-    rig : Rig
-        Configured orientations.
-    cameras : (N, 6) float64
-        See :class:`State`.
-
-    Returns
-    -------
-    camera_from_map : (N, 3, 3) float64
-    turned : (N, 3, 3, 3) float64
-        Derivatives by heading and the two leans.
-    """
-    n = len(cameras)
-    lean_vector = np.column_stack([cameras[:, 4], cameras[:, 3], np.zeros(n)])
-    lean = Rotation.from_rotvec(lean_vector).as_matrix()
-    heading = Rotation.from_rotvec(cameras[:, 2:3] * [0.0, 0.0, 1.0]).as_matrix()
+def orientation(rig: Rig, cameras: Float) -> Float:
+    """Rotations (N, 3, 3) from map to camera axes, of cameras (N, 6), see :class:`State`."""
     camera_from_robot = rig.robot_from_camera.transpose(0, 2, 1)
-    unlean, unturn = lean.transpose(0, 2, 1), heading.transpose(0, 2, 1)
-    turned = np.empty((n, 3, 3, 3))
+    return np.asarray(camera_from_robot @ _unlean(cameras) @ _unturn(cameras))
+
+
+def turning(rig: Rig, cameras: Float) -> Float:
+    """Differentiate :func:`orientation` by heading and the two leans, (N, 3, 3, 3)."""
+    camera_from_robot = rig.robot_from_camera.transpose(0, 2, 1)
+    unlean, unturn = _unlean(cameras), _unturn(cameras)
+    turned = np.empty((len(cameras), 3, 3, 3))
     turned[:, 0] = camera_from_robot @ unlean @ (-_cross([0.0, 0.0, 1.0])) @ unturn
     # exp(w + d) = exp(w) exp(J d) with J the right Jacobian of the rotation group
-    right = _right_jacobian(lean_vector)
+    right = _right_jacobian(_lean(cameras))
     for slot, axis in ((1, 1), (2, 0)):
         turned[:, slot] = camera_from_robot @ -_cross(right[:, :, axis]) @ unlean @ unturn
-    return camera_from_robot @ unlean @ unturn, turned
+    return turned
+
+
+def _lean(cameras: Float) -> Float:
+    """Leans (N, 3) as rotation vectors."""
+    return np.column_stack([cameras[:, 4], cameras[:, 3], np.zeros(len(cameras))])
+
+
+def _unlean(cameras: Float) -> Float:
+    """Rotations (N, 3, 3) from leaning to upright, transposed leans."""
+    return rotation_matrix(_lean(cameras)).transpose(0, 2, 1)
+
+
+def _unturn(cameras: Float) -> Float:
+    """Rotations (N, 3, 3) about the vertical from the map to the headings."""
+    out = np.zeros((len(cameras), 3, 3))
+    out[:, 0, 0] = out[:, 1, 1] = np.cos(cameras[:, 2])
+    out[:, 0, 1] = np.sin(cameras[:, 2])
+    out[:, 1, 0], out[:, 2, 2] = -out[:, 0, 1], 1.0
+    return out
 
 
 def _cross(vectors: Float | list[float]) -> Float:
@@ -129,10 +136,8 @@ def pose_jacobians(rig: Rig, cameras: Float) -> Float:
     Rows are the rotation vector (applied on the left, in map axes) and the translation.
     """
     n = len(cameras)
-    lean_vector = np.column_stack([cameras[:, 4], cameras[:, 3], np.zeros(n)])
-    heading = Rotation.from_rotvec(cameras[:, 2:3] * [0.0, 0.0, 1.0]).as_matrix()
     # exp(w + d) = exp(J d) exp(w) with J the left Jacobian, the transpose of the right one
-    turned = heading @ _right_jacobian(lean_vector).transpose(0, 2, 1)
+    turned = (_right_jacobian(_lean(cameras)) @ _unturn(cameras)).transpose(0, 2, 1)
     out = np.zeros((n, 6, 6))
     out[:, 2, 2] = 1.0
     out[:, :3, 3], out[:, :3, 4] = turned[:, :, 1], turned[:, :, 0]

@@ -7,7 +7,7 @@ import numpy as np
 
 from gvpipe.core.slam.consistency import agree
 from gvpipe.core.slam.holding import place_all
-from gvpipe.core.slam.links import Link, matches_of
+from gvpipe.core.slam.links import Link, LinkSet
 from gvpipe.core.slam.placements import Mask, Placements
 from gvpipe.core.slam.tracks import Index
 from gvpipe.core.types import Camera, Float, Mount
@@ -43,8 +43,7 @@ class Screened:
 
 
 def screen(
-    links: Sequence[Link],
-    ends: Index,
+    linked: LinkSet,
     usable: Mask,
     cameras: Sequence[Camera],
     mounts: Sequence[Mount],
@@ -53,10 +52,8 @@ def screen(
 
     Parameters
     ----------
-    links : sequence of Link
+    linked : LinkSet
         E links.
-    ends : (E, 2) int64
-        Numbers of their images.
     usable : (E,) bool
         Links that could be motions over the ground.
     cameras, mounts : sequence of Camera, sequence of Mount
@@ -66,7 +63,8 @@ def screen(
     -------
     screened : Screened
     """
-    placed = place_all(matches_of(links, SAMPLE_POINTS), ends, cameras, mounts)
+    links, ends = linked.links, linked.ends
+    placed = place_all(linked.matches.sampled(SAMPLE_POINTS), ends, cameras, mounts)
     used = np.nonzero(usable & (placed[:, 5] > 0))[0]
     heights = np.array([mount.height for mount in mounts])
     planar, agrees = agree(_placements(links, placed[used], used, ends, heights), len(mounts))

@@ -115,7 +115,7 @@ def _gather(
     )
 
 
-def cell_tracks(pairs: Index, matches: Matches, homographies: Float) -> Tracks:
+def cell_tracks(pairs: Index, matches: Matches, which: Index, homographies: Float) -> Tracks:
     """Sum the matches of each link up in a few points: what large maps can afford.
 
     Parameters
@@ -123,7 +123,9 @@ def cell_tracks(pairs: Index, matches: Matches, homographies: Float) -> Tracks:
     pairs : (E, 2) int64
         Cameras i and j of each link.
     matches : Matches
-        Their matches.
+        Of these links and others.
+    which : (E,) int64
+        Their places among those.
     homographies : (E, 3, 3) float64
         Pixels of i to pixels of j.
 
@@ -138,7 +140,7 @@ def cell_tracks(pairs: Index, matches: Matches, homographies: Float) -> Tracks:
     homography. Corners that several links share count once for each of them.
     """
     link, points_i, points_j, weight = gathered_cells(
-        matches.start, matches.points_i, matches.points_j, homographies, CELLS, STRAY
+        matches.start, matches.points_i, matches.points_j, which, homographies, CELLS, STRAY
     )
     camera = pairs[link]
     pixel = np.stack([points_i, points_j], axis=1)
