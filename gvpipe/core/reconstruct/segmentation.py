@@ -22,8 +22,14 @@ COARSEST = 200
 ITERATIONS = 150
 """Primal-dual steps at the coarsest size; a third of them suffice from a good first guess."""
 
-BINS = 16
-"""Bins a channel of the colour histograms: 16 levels each, about the scale of shading."""
+BINS, LARGEST_LOG = 48, 1.2
+"""Bins of each of the two log ratios of channels, and the largest size they cover."""
+
+DARKEST = 8.0
+"""Levels added to a channel before its logarithm: in the dark noise makes any hue."""
+
+NOISE_BLUR = 0.7
+"""Blur, pixels, before hues are taken."""
 
 RARE = 1e-5
 """Share of a histogram below which a colour counts as never seen."""
@@ -100,7 +106,10 @@ def _outline_cost(picture: Image, strength: float) -> tuple[Single, Single]:
 
 
 def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit: float) -> Single:
-    """How much more common each pixel's colour is inside a region than outside it.
+    """How much more common each pixel's hue is inside a region than outside it.
+
+    Ratios of channels alone are compared: ground in the shade of an obstacle keeps its hue, while
+    by its brightness it would belong to the obstacle's dark side.
 
     Parameters
     ----------
@@ -118,17 +127,26 @@ def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit:
     gain : (H, W) float32
         Log ratio of the two histograms, within -limit..limit; 0 if the region is tiny.
     """
-    cells = (picture >> 4).astype(np.int32)
-    index = (cells[..., 0] * BINS + cells[..., 1]) * BINS + cells[..., 2]
+    index = _hue(picture)
     inside = region[known].astype(np.float64)
     if inside.sum() < LEAST_PIXELS or (1 - inside).sum() < LEAST_PIXELS:
         return np.zeros(region.shape, np.float32)
     logs = []
     for weight in (inside, 1 - inside):
-        counts = np.bincount(index[known], weights=weight, minlength=BINS**3)
-        share = counts.reshape(BINS, BINS, BINS) / counts.sum()
+        counts = np.bincount(index[known], weights=weight, minlength=BINS**2)
+        share = counts.reshape(BINS, BINS) / counts.sum()
         smooth = ndimage.gaussian_filter(share, 0.8, mode="nearest")
         logs.append(np.log(smooth + RARE).ravel())
     ratio = np.clip(logs[0] - logs[1], -limit, limit).astype(np.float32)
     gain: Single = ratio[index]
     return gain
+
+
+def _hue(picture: Image) -> NDArray[np.int32]:
+    """Bin (H, W) of each pixel's log ratios of red and blue to green."""
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), NOISE_BLUR)
+    red, green, blue = np.moveaxis(np.log(smooth + DARKEST), -1, 0)
+    ratios = (np.stack([red - green, blue - green]) + LARGEST_LOG) / (2 * LARGEST_LOG)
+    a, b = np.clip(ratios * BINS, 0, BINS - 1).astype(np.int32)
+    hue: NDArray[np.int32] = a * BINS + b
+    return hue
