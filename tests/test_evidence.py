@@ -21,6 +21,7 @@ from gvpipe.core.reconstruct.hull import (
     Solid,
     down_to_ground,
     entry_depth,
+    log_support,
     pixel_from_map,
     render_mask,
     standing,
@@ -30,6 +31,7 @@ from gvpipe.core.reconstruct.photometry import levelled
 from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
 from gvpipe.core.reconstruct.silhouette import silhouettes
+from gvpipe.core.reconstruct.slabs import thin_slabs
 from gvpipe.core.reconstruct.stereo import depth_maps
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
 from tests.synthetic import Box, Scene, texture
@@ -140,6 +142,34 @@ def test_unknown_pixels_leave_a_view_out(views):
     shapes[0][:] = 0.0  # the floor of one factor
     p = hull_probability(views, shapes, grid, EvidenceOptions(view_floor=0.05))
     np.testing.assert_allclose(p, 0.05, rtol=1e-4)
+
+
+def test_views_are_asked_until_no_more_can_matter(views, shapes):
+    grid = VoxelGrid.over(np.array([-0.4, -0.4, 0.0]), np.array([0.4, 0.4, 0.4]), (20, 20, 10))
+    matrices = [pixel_from_map(v) for v in views]
+    log_sum, count = log_support(matrices, shapes, grid, 0.05)
+    options = EvidenceOptions(view_floor=0.05, ground_softness=1e-6)
+    expected = np.where(count >= options.min_views, np.exp(log_sum), 0)
+    assert (log_sum < -20).any()
+    p = hull_probability(views, shapes, grid, options)
+    np.testing.assert_allclose(p, expected, rtol=1e-5, atol=1e-8)
+
+
+def test_area_weights_are_low_where_colours_agree(views, shapes):
+    grid = VoxelGrid.over(np.array([-0.2, -0.2, 0.05]), np.array([0.2, 0.2, 0.25]), (4, 4, 2))
+    options = EvidenceOptions()
+    _, g = data_terms(views, shapes, grid, options)
+    for index in np.ndindex(grid.shape):
+        point = np.append(grid.map_from_index(np.array(index)), 1.0)
+        colours = []
+        for view in views:
+            u, v, w = pixel_from_map(view) @ point
+            if 0 <= u < w * (CAMERA.width - 1) and 0 <= v < w * (CAMERA.height - 1):
+                colours.append(view.pixels[int(v / w + 0.5), int(u / w + 0.5)].astype(float))
+        assert len(colours) >= options.min_views
+        off = np.linalg.norm(np.array(colours) - np.mean(colours, axis=0), axis=1)
+        consent = np.mean(1 / (1 + off / options.consistency_scale))
+        assert g[index] == pytest.approx(max(1 - consent, options.area_floor), abs=1e-5)
 
 
 def test_ground_behind_an_obstacle_is_seen_by_the_others(views, scene):
@@ -293,6 +323,11 @@ def test_rays_enter_voxels_at_the_true_depth(views):
     assert np.median(np.abs(found[both] - true[both])) < 0.005
 
 
+def test_rays_meet_nothing_in_an_empty_grid(views):
+    solid = box_grid()
+    assert np.isinf(entry_depth(np.zeros_like(solid.inside), solid.grid, views[0])).all()
+
+
 def test_depths_find_the_surface_inside_a_fat_hull(views):
     fat = box_grid(0.03, 0.08)
     near = [entry_depth(fat.inside, fat.grid, v) for v in views]
@@ -324,7 +359,9 @@ def test_texture_in_the_plane_of_the_ground_is_ground(views):
 def test_depths_take_the_roof_off_the_hull(views, shapes):
     grid = VoxelGrid.over(np.array([-0.3, -0.3, 0.0]), np.array([0.3, 0.3, 0.4]), (60, 60, 40))
     hull = hull_probability(views, shapes, grid, EvidenceOptions()) > 0.5
-    f, _ = data_terms(views, shapes, grid, EvidenceOptions())
+    f, g = data_terms(views, shapes, grid, EvidenceOptions())
+    assert len(thin_slabs(grid.shape)) > 1
+    np.testing.assert_array_equal((f, g), data_terms(views, shapes, grid, EvidenceOptions(), 3))
     z = grid.centres()[..., 2]
     above = z > HIGH[2] + 0.02
     assert (hull & above).sum() > 50  # a hull seen from above has a roof

@@ -45,7 +45,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     options = EvidenceOptions()
     ground, bare = _ground(context), read_map(context.artefact(MosaicBody))
     shapes = silhouettes(views, ground, options, context.jobs)
-    regions = find_regions(views, shapes, options)
+    regions = find_regions(views, shapes, options, context.jobs)
     volumes = []
     with context.progress("reconstruct", len(regions)) as ticker:
         for region in regions:

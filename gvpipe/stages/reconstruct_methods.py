@@ -45,13 +45,14 @@ def _level_set(
 ) -> Solution:
     """Evolve a box that fills the region down to the surface (thesis 5.6)."""
     f, g = data_terms(views, shapes, grid, EvidenceOptions(), jobs)
+    g *= np.float32(grid.spacing[0])  # in place: each grid may fill a good part of the memory
     start = np.full(grid.shape, -1.0, np.float32)
     start[2:-2, 2:-2, :-2] = 1.0
     recorder = Recorder(grid)
     found = evolve(
         start,
         f,
-        g * np.float32(grid.spacing[0]),
+        g,
         grid.spacing,
         iterations=settings.iterations,
         evolution=settings.evolution,
@@ -68,7 +69,7 @@ def _level_set(
         frame_iterations=recorder.iterations,
         layer=layer,
         f=f[:, :, layer].copy(),
-        g=g[:, :, layer].copy(),
+        g=g[:, :, layer] / np.float32(grid.spacing[0]),
     )
 
 

@@ -97,8 +97,10 @@ def start_of(shape: Shape) -> Array:
     return start
 
 
-def weigh(views: list[PosedView], shapes: list[Silhouette], shape: Shape) -> tuple[Array, Array]:
-    return data_terms(views, shapes, VoxelGrid.over(LOWER, UPPER, shape), EvidenceOptions())
+def weigh(
+    views: list[PosedView], shapes: list[Silhouette], shape: Shape, jobs: int = 1
+) -> tuple[Array, Array]:
+    return data_terms(views, shapes, VoxelGrid.over(LOWER, UPPER, shape), EvidenceOptions(), jobs)
 
 
 def run(start: Array, f: Array, g: Array, **how: object) -> Evolution:
@@ -125,7 +127,7 @@ def ours(
 ) -> tuple[Cost, Cost]:
     """Time data terms and evolution to rest."""
     with timed() as data:
-        f, g = weigh(views, shapes, shape)
+        f, g = weigh(views, shapes, shape, jobs)
     with timed() as evolution:
         found = run(start_of(shape), f, g, jobs=jobs)
     total = Cost(data.cpu + evolution.cpu, data.wall + evolution.wall)

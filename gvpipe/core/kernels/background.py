@@ -8,6 +8,7 @@ from gvpipe.core.types import Float
 
 Single = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Colour = tuple[np.float32, np.float32, np.float32]
 
 LEAST_SHARPNESS = 0.05
 """Weight of a view that sees the ground far more coarsely than the view it is compared with."""
@@ -19,7 +20,8 @@ HIDDEN_WEIGHT = 0.01
 @kernel
 def _sharpness(horizontal2: float, height: float) -> float:
     """Pixels per square metre of ground seen from a height, up to the focal length squared."""
-    return height / (horizontal2 + height * height) ** 1.5
+    distance2 = horizontal2 + height * height
+    return height / (distance2 * np.sqrt(distance2))
 
 
 @kernel
@@ -29,7 +31,7 @@ def _collect(
     images: Bytes,
     hidden: Bytes,
     sizes: NDArray[np.int64],
-    pixel_from_ground: Float,
+    h: Float,
     centres: Float,
     others: NDArray[np.int64],
     own_sharpness: float,
@@ -40,12 +42,12 @@ def _collect(
     """Fetch a ground point's colours: their number, total weight, and weight not hidden."""
     m, total, open_weight = 0, 0.0, 0.0
     for j in others:
-        h = pixel_from_ground[j]
-        depth = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+        depth = h[j, 2, 0] * x + h[j, 2, 1] * y + h[j, 2, 2]
         if depth <= 1e-6:
             continue
-        u = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / depth
-        v = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / depth
+        inverse = 1.0 / depth
+        u = (h[j, 0, 0] * x + h[j, 0, 1] * y + h[j, 0, 2]) * inverse
+        v = (h[j, 1, 0] * x + h[j, 1, 1] * y + h[j, 1, 2]) * inverse
         if not (u >= 1 and v >= 1 and u < sizes[j, 0] - 2 and v < sizes[j, 1] - 2):
             continue
         away2 = (x - centres[j, 0]) ** 2 + (y - centres[j, 1]) ** 2
@@ -54,7 +56,7 @@ def _collect(
         relative = np.sqrt(_sharpness(away2, centres[j, 2]) / own_sharpness)
         weight = min(1.0, max(LEAST_SHARPNESS, relative))
         total += weight
-        weight *= 1.0 - (1.0 - HIDDEN_WEIGHT) * hidden[j, int(v + 0.5), int(u + 0.5)] / 255.0
+        weight *= 1.0 - (1.0 - HIDDEN_WEIGHT) / 255.0 * hidden[j, int(v + 0.5), int(u + 0.5)]
         open_weight += weight
         iu, iv = int(u), int(v)
         fu, fv = np.float32(u - iu), np.float32(v - iv)
@@ -64,44 +66,53 @@ def _collect(
             c = np.float32(images[j, iv + 1, iu, k])
             d = np.float32(images[j, iv + 1, iu + 1, k])
             top, bottom = a + fu * (b - a), c + fu * (d - c)
-            colours[m, k] = top + fv * (bottom - top)
+            colours[k, m] = top + fv * (bottom - top)
         weights[m] = weight
         m += 1
     return m, total, open_weight
 
 
 @kernel
-def _distance2(a: Single, b: Single) -> float:
-    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+def _agreement(colours: Single, b: int, colour: Colour, inverse_scale2: np.float32) -> np.float32:
+    """How much a fetched colour counts for another one, 0..1."""
+    red, green, blue = (
+        colours[0, b] - colour[0],
+        colours[1, b] - colour[1],
+        colours[2, b] - colour[2],
+    )
+    d = (red * red + green * green + blue * blue) * inverse_scale2
+    return np.float32(1) / (np.float32(1) + d * d)
 
 
 @kernel
-def _mode(colours: Single, weights: Single, m: int, scale2: float, mode: Single) -> float:
-    """Find the colour most of the weight agrees on; returns the weight that agrees."""
+def _mode(
+    colours: Single, weights: Single, m: int, inverse_scale2: np.float32, votes: Single
+) -> tuple[float, Colour]:
+    """Find the colour most of the weight agrees on: that weight, and the colour."""
+    votes[:m] = 0.0
+    for b in range(m):
+        colour, weight = (colours[0, b], colours[1, b], colours[2, b]), weights[b]
+        for a in range(m):
+            votes[a] += weight * _agreement(colours, a, colour, inverse_scale2)
     best, chosen = -1.0, 0
     for a in range(m):
-        votes = 0.0
-        for b in range(m):
-            d = _distance2(colours[a], colours[b]) / scale2
-            votes += weights[b] / (1.0 + d * d)
-        votes *= 0.3 + weights[a]  # a sharp view's colour is a better start
-        if votes > best:
-            best, chosen = votes, a
+        vote = votes[a] * (0.3 + weights[a])  # a sharp view's colour is a better start
+        if vote > best:
+            best, chosen = vote, a
+    mode = (colours[0, chosen], colours[1, chosen], colours[2, chosen])
     support = 0.0
-    mode[:] = colours[chosen]
-    mean = np.zeros(3, np.float32)
     for _ in range(2):
-        support = 0.0
-        mean[:] = 0.0
+        support, red, green, blue = 0.0, 0.0, 0.0, 0.0
         for b in range(m):
-            d = _distance2(colours[b], mode) / scale2
-            w = weights[b] / (1.0 + d * d)
+            w = weights[b] * _agreement(colours, b, mode, inverse_scale2)
             support += w
-            for k in range(3):
-                mean[k] += np.float32(w * colours[b, k])
-        for k in range(3):
-            mode[k] = np.float32(mean[k] / support)
-    return support
+            red += w * colours[0, b]
+            green += w * colours[1, b]
+            blue += w * colours[2, b]
+        mode = (
+            np.float32(red / support), np.float32(green / support), np.float32(blue / support)
+        )  # fmt: skip
+    return support, mode
 
 
 @kernel
@@ -152,8 +163,8 @@ def ground_behind(
     """
     height, width = support.shape
     n = len(others)
-    colours, weights = np.zeros((n, 3), np.float32), np.zeros(n, np.float32)
-    mode = np.zeros(3, np.float32)
+    colours, weights = np.zeros((3, n), np.float32), np.zeros(n, np.float32)
+    votes, inverse_scale2 = np.zeros(n, np.float32), np.float32(1 / colour_scale**2)
     g = ground_from_pixel
     for v in range(height):
         for u in range(width):
@@ -182,5 +193,6 @@ def ground_behind(
             )
             total_weight[v, u], open_weight[v, u] = total, opened
             if m:
-                support[v, u] = _mode(colours, weights, m, colour_scale**2, mode)
-                colour[v, u] = mode
+                agreed, mode = _mode(colours, weights, m, inverse_scale2, votes)
+                support[v, u] = agreed
+                colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = mode

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from gvpipe.core.kernels.evidence import project
 from gvpipe.core.kernels.jit import kernel
 from gvpipe.core.types import Float
 
@@ -17,6 +18,7 @@ def fuse_depth(
     origin: Float,
     spacing: Float,
     band: float,
+    wanted: NDArray[np.bool_],
     votes: Single,
     weight: Single,
 ) -> None:
@@ -33,30 +35,32 @@ def fuse_depth(
     band : float
         Distance, metres, to which the surface speaks for what is behind it, and at which a vote
         for free space is a full one.
+    wanted : (nx, ny, nz) bool
+        Voxels to be voted on; the others stay as they are.
     votes, weight : (nx, ny, nz) float32
         Changed in place: plus confidence times the distance to the surface in units of the band,
         positive before it, in -1..1; plus confidence (Curless and Levoy, SIGGRAPH 1996).
     """
     nx, ny, nz = votes.shape
     height, width = depth.shape
+    da, db, dc = matrix[0, 2] * spacing[2], matrix[1, 2] * spacing[2], matrix[2, 2] * spacing[2]
     for i in range(nx):
         x = origin[0] + i * spacing[0]
         for j in range(ny):
             y = origin[1] + j * spacing[1]
+            a, b, c = project(matrix, x, y, origin[2])
             for k in range(nz):
-                z = origin[2] + k * spacing[2]
-                c = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
-                if c <= 1e-6:
+                w = c + k * dc
+                if not wanted[i, j, k] or w <= 1e-6:
                     continue
-                u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z + matrix[0, 3]) / c
-                v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / c
+                u, v = (a + k * da) / w, (b + k * db) / w
                 if not (u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5):
                     continue
                 iu, iv = int(u + 0.5), int(v + 0.5)
                 trust = confidence[iv, iu]
                 if trust <= 0.0:
                     continue
-                vote = (depth[iv, iu] - c) / band
+                vote = (depth[iv, iu] - w) / band
                 if vote < -1.0:
                     continue
                 votes[i, j, k] += trust * min(vote, 1.0)

@@ -11,6 +11,28 @@ STRIDE = 0.7
 
 
 @kernel
+def _bounds(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First index of occupied voxels along each axis, and one past the last; equal if none is."""
+    nx, ny, nz = occupied.shape
+    first, last = np.array([nx, ny, nz]), np.zeros(3, np.int64)
+    for i in range(nx):
+        for j in range(ny):
+            row = occupied[i, j]
+            k = 0
+            while k < nz and not row[k]:
+                k += 1
+            if k == nz:
+                continue
+            m = nz
+            while not row[m - 1]:
+                m -= 1
+            first[0], last[0] = min(first[0], i), i + 1
+            first[1], last[1] = min(first[1], j), max(last[1], j + 1)
+            first[2], last[2] = min(first[2], k), max(last[2], m)
+    return np.minimum(first, last), last
+
+
+@kernel
 def cast_depth(
     occupied: NDArray[np.bool_],
     origin: Float,
@@ -36,9 +58,10 @@ def cast_depth(
         meets nothing.
     """
     height, width = depth.shape
-    nx, ny, nz = occupied.shape
+    first, last = _bounds(occupied)
     lower = origin - spacing / 2
     upper = lower + spacing * np.array(occupied.shape)
+    low, high = lower + first * spacing, lower + last * spacing
     direction = np.empty(3)
     for v in range(height):
         for u in range(width):
@@ -56,6 +79,12 @@ def cast_depth(
                 start, end = max(start, min(a, b)), min(end, max(a, b))
             step = STRIDE * spacing.min() / np.sqrt(length2)
             t = start + 1e-6 * step
+            # whole steps up to the part that holds occupied voxels, and no farther
+            for k in range(3):
+                if abs(direction[k]) >= 1e-12:
+                    a, b = (low[k] - centre[k]) / direction[k], (high[k] - centre[k]) / direction[k]
+                    start, end = max(start, min(a, b)), min(end, max(a, b))
+            t += max(np.floor((start - t) / step), 0.0) * step
             # in units of voxels from the lower corner
             x = (centre[0] - lower[0] + t * direction[0]) / spacing[0]
             y = (centre[1] - lower[1] + t * direction[1]) / spacing[1]
@@ -65,7 +94,9 @@ def cast_depth(
             dz = step * direction[2] / spacing[2]
             while t < end:
                 i, j, k = int(x), int(y), int(z)
-                inside = i < nx and j < ny and k < nz and x >= 0 and y >= 0 and z >= 0
+                inside = (
+                    first[0] <= i < last[0] and first[1] <= j < last[1] and first[2] <= k < last[2]
+                )
                 if inside and occupied[i, j, k]:
                     depth[v, u] = t
                     break

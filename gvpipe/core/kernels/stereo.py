@@ -4,10 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.kernels.slanted import SIDE, WORST, centred_patch, slanted_cost
+from gvpipe.core.kernels.slanted import WORST, Index, Triple, centred_patches, dot, slanted_cost
 from gvpipe.core.types import Float
 
 Single = NDArray[np.float32]
+State = NDArray[np.uint64]
+Plane = tuple[float, Triple]
+"""Depth along a ray, and the normal."""
 
 STARTS = 10
 """Random hypotheses every other pixel of every other row starts from; the rest hear of them."""
@@ -26,7 +29,7 @@ TRIES = 2
 
 
 @kernel
-def _random(state: NDArray[np.uint64]) -> float:
+def _random(state: State) -> float:
     """Uniform in 0..1 (xorshift64*): the same on every machine."""
     x = state[0]
     x ^= x >> np.uint64(12)
@@ -37,51 +40,81 @@ def _random(state: NDArray[np.uint64]) -> float:
 
 
 @kernel
-def _direction(state: NDArray[np.uint64], out: Float) -> None:
-    """Fill a uniform random unit vector."""
+def _direction(state: State) -> Triple:
+    """Draw a uniform random unit vector."""
     z, angle = 2.0 * _random(state) - 1.0, 2.0 * np.pi * _random(state)
     r = np.sqrt(max(1.0 - z * z, 0.0))
-    out[0], out[1], out[2] = r * np.cos(angle), r * np.sin(angle), z
+    return r * np.cos(angle), r * np.sin(angle), z
 
 
 @kernel
-def _guess(k: int, state: NDArray[np.uint64], up: Float, ray: Float, n: Float) -> None:
-    """Fill a normal to start from: floors and tops, walls and any other surface in turn."""
-    _direction(state, n)
+def _guess(k: int, state: State, up: Triple, ray: Triple) -> Triple:
+    """Draw a normal to start from: floors and tops, walls and any other surface in turn."""
+    n = _direction(state)
     if k % 3 == 0:
-        n[:] = up
+        n = up
     elif k % 3 == 1:
-        n -= (n[0] * up[0] + n[1] * up[1] + n[2] * up[2]) * up
-    if n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2] > 0:
-        n *= -1
+        along = dot(n, up)
+        n = (n[0] - along * up[0], n[1] - along * up[1], n[2] - along * up[2])
+    return (-n[0], -n[1], -n[2]) if dot(n, ray) > 0 else n
 
 
 @kernel
-def _extended(n: Float, inverse: Float, ray: Float, x: int, y: int) -> float:
-    """Depth along a ray of the plane through pixel (x, y), as a multiple of the depth there."""
-    there, here = 0.0, n[0] * ray[0] + n[1] * ray[1] + n[2] * ray[2]
-    for a in range(3):
-        there += n[a] * (inverse[a, 0] * x + inverse[a, 1] * y + inverse[a, 2])
-    return there / here if abs(here) > 1e-6 else np.inf
+def _ray(inverse: Float, u: int, v: int) -> Triple:
+    """Ray of a pixel."""
+    return (
+        inverse[0, 0] * u + inverse[0, 1] * v + inverse[0, 2],
+        inverse[1, 0] * u + inverse[1, 1] * v + inverse[1, 2],
+        inverse[2, 0] * u + inverse[2, 1] * v + inverse[2, 2],
+    )
+
+
+@kernel
+def _unit(n: Triple) -> Triple:
+    length = np.sqrt(dot(n, n))
+    return n[0] / length, n[1] / length, n[2] / length
+
+
+@kernel
+def _extended(n: Triple, ray: Triple, there: Triple) -> float:
+    """Depth along a ray of the plane through a point on another, as a multiple of its depth."""
+    here = dot(n, ray)
+    return dot(n, there) / here if abs(here) > 1e-6 else np.inf
+
+
+@kernel
+def _normal(normal: Single, y: int, x: int) -> Triple:
+    return float(normal[y, x, 0]), float(normal[y, x, 1]), float(normal[y, x, 2])
+
+
+@kernel
+def _started(k: int, state: State, low: float, high: float, up: Triple, ray: Triple) -> Plane:
+    """Draw a depth and a normal to start from."""
+    d = low + (high - low) * _random(state)
+    return d, _guess(k, state, up, ray)
+
+
+@kernel
+def _inherited(y: int, x: int, depth: Single, normal: Single, inverse: Float, ray: Triple) -> Plane:
+    """Extend the plane of a neighbour, pixel (x, y), to a ray."""
+    n = _normal(normal, y, x)
+    return depth[y, x] * _extended(n, ray, _ray(inverse, x, y)), n
+
+
+@kernel
+def _varied(state: State, d: float, n: Triple, reach: float, scale: float) -> Plane:
+    """Draw a plane near another one."""
+    o = _direction(state)
+    tilted = (n[0] + scale * o[0], n[1] + scale * o[1], n[2] + scale * o[2])
+    return d + reach * (2 * _random(state) - 1), tilted
 
 
 @kernel
 def match_depths(
-    view: int,
-    sources: NDArray[np.int64],
-    pictures: Single,
-    sizes: NDArray[np.int64],
-    infinite: Float,
-    shifts: Float,
-    inverse: Float,
-    up: Float,
-    near: Single,
-    far: Single,
-    sweeps: int,
-    depth: Single,
-    normal: Single,
-    cost: Single,
-) -> None:
+    view: int, sources: NDArray[np.int64], pictures: Single, sizes: NDArray[np.int64],
+    infinite: Float, shifts: Float, inverse: Float, up: Float, near: Single, far: Single,
+    sweeps: int, depth: Single, normal: Single, cost: Single,
+) -> None:  # fmt: skip
     """Find the depth and the plane of each pixel that other views agree on best.
 
     Parameters
@@ -114,90 +147,81 @@ def match_depths(
     and the best two of several views (Galliani, Lasinger and Schindler, ICCV 2015).
     """
     height, width = depth.shape
-    picture = pictures[view]
-    values, weights = np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32)
-    ray, n, other = np.empty(3), np.empty(3), np.empty(3)
-    state = np.empty(1, np.uint64)
-    state[0] = np.uint64(88172645463325252 + view)
+    number, values, weights, variance = centred_patches(pictures[view], near, far)
+    flat, area, stride = pictures.ravel(), pictures[0].size, pictures.shape[2]
+    upright = (up[0], up[1], up[2])
+    changed = np.zeros((height, width), np.int8)  # in which sweep, last
+    state = np.full(1, 88172645463325252 + view, np.uint64)
     for sweep in range(sweeps + 1):
-        scale = 0.5**sweep
-        forwards = sweep % 2 == 1
-        step = 1 if forwards else -1
+        scale, step = 0.5**sweep, 1 if sweep % 2 == 1 else -1
         for row in range(height):
-            v = row if forwards else height - 1 - row
+            v = row if step > 0 else height - 1 - row
             for column in range(width):
-                u = column if forwards else width - 1 - column
-                low, high = near[v, u], far[v, u]
-                if not low < high:
+                u = column if step > 0 else width - 1 - column
+                p = number[v, u]
+                if p < 0:
                     continue
-                for a in range(3):
-                    ray[a] = inverse[a, 0] * u + inverse[a, 1] * v + inverse[a, 2]
-                variance = centred_patch(picture, near, u, v, values, weights)
+                low, high, ray = near[v, u], far[v, u], _ray(inverse, u, v)
                 best, best_depth = WORST, 0.5 * (low + high)
+                tries = STARTS if u % 2 == 0 and v % 2 == 0 else 0
                 if sweep > 0:
-                    best, best_depth = cost[v, u], depth[v, u]
-                tries = STARTS if sweep == 0 else TRIES + 2
-                if sweep == 0 and (u + v) % 2 + v % 2 > 0:
-                    tries = 0
+                    best, best_depth, tries = cost[v, u], depth[v, u], TRIES + 2
                 for k in range(tries):
                     if sweep == 0:
-                        d = low + (high - low) * _random(state)
-                        _guess(k, state, up, ray, n)
+                        d, n = _started(k, state, low, high, upright, ray)
                     elif k < 2:
                         y, x = (v - step, u) if k == 0 else (v, u - step)
-                        if not (0 <= y < height and 0 <= x < width and near[y, x] < far[y, x]):
+                        if not (0 <= y < height and 0 <= x < width and number[y, x] >= 0):
                             continue
-                        n[:] = normal[y, x]
-                        d = depth[y, x] * _extended(n, inverse, ray, x, y)
+                        if sweep > 2 and changed[y, x] < sweep - 1:  # it was asked two sweeps ago
+                            continue
+                        d, n = _inherited(y, x, depth, normal, inverse, ray)
                     else:
-                        _direction(state, other)
-                        n[:] = normal[v, u]
-                        n += scale * other
-                        d = best_depth + 0.3 * scale * (high - low) * (2 * _random(state) - 1)
-                    n /= np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+                        reach = 0.3 * scale * (high - low)
+                        d, n = _varied(state, best_depth, _normal(normal, v, u), reach, scale)
                     if not low <= d <= high:
                         continue
+                    n = _unit(n)
                     c = slanted_cost(
-                        pictures, sizes, sources, infinite, shifts, ray, inverse,
-                        u, v, d, n, values, weights, variance, best,
+                        flat, area, stride, sizes, sources, infinite, shifts, inverse,
+                        u, v, d, ray, n, p, values, weights, variance[p], best,
                     )  # fmt: skip
                     if c < best:
                         best, best_depth = c, d
-                        depth[v, u], cost[v, u] = d, c
-                        normal[v, u] = n.astype(np.float32)
+                        depth[v, u], cost[v, u], changed[v, u] = d, c, sweep
+                        normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = n
                 if sweep == 0 and best >= WORST:
                     depth[v, u], cost[v, u] = best_depth, WORST
-                    normal[v, u] = up.astype(np.float32)
+                    normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = upright
     _doubt(
-        pictures, sizes, sources, infinite, shifts, inverse, near, far, view,
-        depth, normal, cost,
+        flat, area, stride, sizes, sources, infinite, shifts, inverse, number, values, weights,
+        variance, depth, normal, cost,
     )  # fmt: skip
 
 
 @kernel
 def _doubt(
-    pictures: Single, sizes: NDArray[np.int64], sources: NDArray[np.int64],
-    infinite: Float, shifts: Float, inverse: Float, near: Single, far: Single, view: int,
+    pictures: Single, area: int, stride: int, sizes: NDArray[np.int64],
+    sources: NDArray[np.int64], infinite: Float, shifts: Float, inverse: Float,
+    number: Index, values: Single, weights: Single, variance: Float,
     depth: Single, normal: Single, cost: Single,
 ) -> None:  # fmt: skip
     """Give up pixels that match nearly as well at other depths: smooth shading matches anywhere."""
     height, width = depth.shape
-    values, weights = np.empty(SIDE * SIDE, np.float32), np.empty(SIDE * SIDE, np.float32)
-    ray, n = np.empty(3), np.empty(3)
     for v in range(height):
         for u in range(width):
-            if not (near[v, u] < far[v, u] and cost[v, u] < LIKE):
+            p = number[v, u]
+            if p < 0 or cost[v, u] >= LIKE:
                 continue
-            for a in range(3):
-                ray[a] = inverse[a, 0] * u + inverse[a, 1] * v + inverse[a, 2]
-            variance = centred_patch(pictures[view], near, u, v, values, weights)
-            n[:] = normal[v, u]
+            ray, limit = _ray(inverse, u, v), cost[v, u] + DISTINCT
+            n = _normal(normal, v, u)
             for k in range(RIVALS):
-                d = depth[v, u] * (1.0 + RIVAL_STEP * (k - RIVALS // 2 + (k >= RIVALS // 2)))
+                away = (k // 2 + 1) * (1 - k % 2 * 2)  # 1, -1, 2, -2, ...: the likeliest first
+                d = depth[v, u] * (1.0 + RIVAL_STEP * away)
                 c = slanted_cost(
-                    pictures, sizes, sources, infinite, shifts, ray, inverse,
-                    u, v, d, n, values, weights, variance, cost[v, u] + DISTINCT,
+                    pictures, area, stride, sizes, sources, infinite, shifts, inverse,
+                    u, v, d, ray, n, p, values, weights, variance[p], limit,
                 )  # fmt: skip
-                if c < cost[v, u] + DISTINCT:
+                if c < limit:
                     cost[v, u] = WORST
                     break

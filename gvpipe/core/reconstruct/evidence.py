@@ -1,12 +1,11 @@
 """The two terms of the energy on a voxel grid, and where obstacles may stand at all."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.kernels.evidence import photo_consistency
+from gvpipe.core.kernels.evidence import photo_consistency, sample_colours
 from gvpipe.core.kernels.fusion import fuse_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
@@ -19,8 +18,9 @@ from gvpipe.core.reconstruct.hull import (
     search_grid,
     tolerant_hull,
 )
-from gvpipe.core.reconstruct.stereo import depth_maps, work_view
-from gvpipe.core.types import PosedView
+from gvpipe.core.reconstruct.slabs import Slabs, thin_slabs
+from gvpipe.core.reconstruct.stereo import DepthMap, depth_maps, work_view
+from gvpipe.core.types import Float, Image, PosedView
 
 __all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_from_map"]
 
@@ -29,6 +29,9 @@ REGION_TOLERANCE = 0.05
 
 SURE_VIEWS, FAILING_SHARE = 16, 0.2
 """Views that must all agree, and the share of further ones whose silhouettes may fail."""
+
+NIL = 1e-8
+"""Probability below which further views are not asked: less than the rounding of one half."""
 
 LEAST_BAND_M, BAND_VOXELS = 0.01, 2.0
 """Half width of the band in which a depth speaks for its surface, metres and voxels: the scatter
@@ -59,7 +62,19 @@ def hull_probability(
     probability : (nx, ny, nz) float32
         In 0..1.
     """
-    log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
+    return _hull([pixel_from_map(v) for v in views], silhouettes, grid, options)
+
+
+def _hull(
+    matrices: Sequence[Float],
+    silhouettes: Sequence[Silhouette],
+    grid: VoxelGrid,
+    options: EvidenceOptions,
+) -> Volume:
+    """Do the same for views given by their projections."""
+    most = FAILING_SHARE * max(len(matrices) - SURE_VIEWS, 0)
+    enough = np.log(NIL) + np.log(options.view_floor) * most
+    log_sum, count = log_support(matrices, silhouettes, grid, options.view_floor, enough=enough)
     failing = FAILING_SHARE * np.maximum(count.astype(np.float32) - SURE_VIEWS, 0)
     probability = np.exp(np.minimum(log_sum - np.log(options.view_floor) * failing, 0))
     probability[count < options.min_views] = 0.0
@@ -89,7 +104,7 @@ def data_terms(
     grid : VoxelGrid
     options : EvidenceOptions
     jobs : int
-        Views worked on side by side; does not change the result.
+        Threads; the result does not depend on them.
 
     Returns
     -------
@@ -100,41 +115,58 @@ def data_terms(
         ``1 + Gamma`` with the mean over the views in Gamma, so that it stays positive: low where
         the views agree about the colour.
     """
-    f = (0.5 - hull_probability(views, silhouettes, grid, options)).astype(np.float32)
-    free, trust = _depth_votes(views, silhouettes, grid, f < 0, options, jobs)
-    f = np.where(f < 0, (1 - trust) * f + 0.5 * trust * free, f).astype(np.float32)
-    consent = np.zeros(grid.shape, np.float32)
-    width = max(v.camera.width for v in views)
-    height = max(v.camera.height for v in views)
-    images = np.zeros((len(views), height, width, 3), np.uint8)
-    sizes = np.array([[v.camera.width, v.camera.height] for v in views])
-    for k, view in enumerate(views):
-        images[k, : view.camera.height, : view.camera.width] = view.pixels
-    photo_consistency(
-        images,
-        sizes,
-        np.stack([pixel_from_map(v) for v in views]),
-        grid.origin,
-        grid.spacing,
-        options.consistency_scale,
-        options.min_views,
-        consent,
-    )
-    return f, np.maximum(1.0 - consent, options.area_floor).astype(np.float32)
+    f, g = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
+    pictures = [np.ascontiguousarray(v.pixels) for v in views]
+    matrices = [pixel_from_map(v) for v in views]
+    parts = thin_slabs(grid.shape)
+
+    def weigh(bounds: tuple[int, int]) -> None:
+        part, slab = grid.part(*bounds), slice(*bounds)
+        f[slab] = 0.5 - _hull(matrices, silhouettes, part, options)
+        consent = _consent(matrices, pictures, part, options)
+        np.maximum(1.0 - consent, np.float32(options.area_floor), out=g[slab])
+
+    with Slabs(jobs) as slabs:
+        slabs.map(weigh, parts)
+        maps = _depths(views, silhouettes, grid, f < 0, options, slabs)
+        band = max(LEAST_BAND_M, BAND_VOXELS * float(grid.spacing.max()))
+        small = [pixel_from_map(m.view) for m in maps]
+
+        def correct(bounds: tuple[int, int]) -> None:
+            _vote(small, maps, grid.part(*bounds), band, f[slice(*bounds)])
+
+        slabs.map(correct, parts)
+    return f, g
 
 
-def _depth_votes(
+def _consent(
+    matrices: Sequence[Float],
+    pictures: Sequence[Image],
+    grid: VoxelGrid,
+    options: EvidenceOptions,
+) -> Volume:
+    """How well the views agree about the colour of each voxel, 0..1."""
+    nx, ny, nz = grid.shape
+    samples = np.empty((len(matrices), nx, ny, 4, nz), np.uint8)
+    for matrix, picture, out in zip(matrices, pictures, samples, strict=True):
+        sample_colours(picture, matrix, grid.origin, grid.spacing, out)
+    consent = np.empty(grid.shape, np.float32)
+    photo_consistency(samples, options.consistency_scale, options.min_views, consent)
+    return consent
+
+
+def _depths(
     views: Sequence[PosedView],
     silhouettes: Sequence[Silhouette],
     grid: VoxelGrid,
     hull: NDArray[np.bool_],
     options: EvidenceOptions,
-    jobs: int,
-) -> tuple[Volume, Volume]:
-    """Whether voxels lie before (1) or behind (-1) the surface, and how surely (0..1)."""
+    slabs: Slabs,
+) -> list[DepthMap]:
+    """Match the views' texture behind the hull, where no other obstacle hides it."""
     small = [work_view(v) for v in views]
     coarse = search_grid(views)
-    others = tolerant_hull(views, silhouettes, coarse, options, REGION_TOLERANCE)
+    others = tolerant_hull(views, silhouettes, coarse, options, REGION_TOLERANCE, jobs=slabs.jobs)
     low, high = (coarse.index_from_map(corner) for corner in (grid.lower, grid.upper))
     (i0, j0, _), (i1, j1, _) = np.maximum(np.floor(low), 0).astype(int), np.ceil(high).astype(int)
     others[i0 : i1 + 1, j0 : j1 + 1] = False
@@ -143,22 +175,29 @@ def _depth_votes(
         depth = entry_depth(hull, grid, view)
         return np.where(entry_depth(others, coarse, view) < depth, np.inf, depth).astype(np.float32)
 
-    with ThreadPoolExecutor(jobs) as pool:
-        near = list(pool.map(entry, small))
-    maps = depth_maps(small, near, (grid.lower + grid.upper) / 2, jobs)
-    band = max(LEAST_BAND_M, BAND_VOXELS * float(grid.spacing.max()))
+    return depth_maps(small, slabs.map(entry, small), (grid.lower + grid.upper) / 2, slabs.jobs)
+
+
+def _vote(
+    matrices: Sequence[Float], maps: Sequence[DepthMap], grid: VoxelGrid, band: float, f: Volume
+) -> None:
+    """Correct the volume term inside the hull, in place, by the surfaces that views agree on."""
+    hull = f < 0
     votes, weight = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
-    for m in maps:
+    for matrix, m in zip(matrices, maps, strict=True):
         fuse_depth(
-            m.depth, m.confidence, pixel_from_map(m.view), grid.origin, grid.spacing, band, votes,
-            weight,
+            m.depth, m.confidence, matrix, grid.origin, grid.spacing, band, hull,
+            votes, weight,
         )  # fmt: skip
-    free = votes / np.maximum(weight, 1e-6)
-    return np.asarray(free, np.float32), np.asarray(np.minimum(weight, 1), np.float32)
+    free, trust = votes / np.maximum(weight, 1e-6), np.minimum(weight, 1)
+    f[hull] = ((1 - trust) * f + 0.5 * trust * free)[hull]
 
 
 def find_regions(
-    views: Sequence[PosedView], silhouettes: Sequence[Silhouette], options: EvidenceOptions
+    views: Sequence[PosedView],
+    silhouettes: Sequence[Silhouette],
+    options: EvidenceOptions,
+    jobs: int = 1,
 ) -> list[Region]:
     """Boxes of the map in which obstacles stand.
 
@@ -171,5 +210,5 @@ def find_regions(
         Largest first; empty if nothing stands on the ground.
     """
     grid = search_grid(views)
-    inside = tolerant_hull(views, silhouettes, grid, options, REGION_TOLERANCE)
+    inside = tolerant_hull(views, silhouettes, grid, options, REGION_TOLERANCE, jobs=jobs)
     return regions_of(inside, grid, MARGIN)

@@ -26,7 +26,10 @@ Masks = list[NDArray[np.bool_]]
 
 
 def without_ghosts(
-    views: Sequence[PosedView], shapes: Sequence[Silhouette], options: EvidenceOptions
+    views: Sequence[PosedView],
+    shapes: Sequence[Silhouette],
+    options: EvidenceOptions,
+    threads: int = 1,
 ) -> list[Silhouette]:
     """Clear from the silhouettes what only ghosts explain.
 
@@ -48,7 +51,8 @@ def without_ghosts(
         0 where the silhouette shows a ghost and no accepted body.
     """
     grid = search_grid(views)
-    labels, count = ndimage.label(tolerant_hull(views, shapes, grid, options, TOLERANCE))
+    inside = tolerant_hull(views, shapes, grid, options, TOLERANCE, jobs=threads)
+    labels, count = ndimage.label(inside)
     small = [reduced(v, v.pixels, reduction(v)) for v in views]
     likely = [_sampled(s > 0.5, v) for s, v in zip(shapes, small, strict=True)]
     bodies = [[render_mask(labels == k, grid, v) > 0 for v in small] for k in range(1, count + 1)]

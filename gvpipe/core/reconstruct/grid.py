@@ -1,6 +1,6 @@
 """The voxel grid in which obstacles are reconstructed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,11 @@ class VoxelGrid:
     def voxel_volume(self) -> float:
         """Volume of one voxel, cubic metres."""
         return float(np.prod(self.spacing))
+
+    def part(self, start: int, stop: int) -> "VoxelGrid":
+        """Cut out the layers ``start <= i < stop`` along x."""
+        shift = np.array([start * self.spacing[0], 0.0, 0.0])
+        return replace(self, origin=self.origin + shift, shape=(stop - start, *self.shape[1:]))
 
     def axes(self) -> tuple[Float, Float, Float]:
         """Map coordinates of the centres along x, (nx,), along y, (ny,), and along z, (nz,)."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.hull import (
     Solid,
     down_to_ground,
@@ -34,17 +35,19 @@ def tolerant_solids(
     shapes: Sequence[Silhouette],
     options: EvidenceOptions,
     tolerance: float,
+    threads: int = 1,
 ) -> list[Solid]:
     """Tolerant hulls of the silhouettes, one for each region they stand in."""
     coarse = search_grid(views)
     height = float(np.median([v.map_from_camera.translation[2] for v in views]))
     solids = []
-    for region in regions_of(
-        tolerant_hull(views, shapes, coarse, options, tolerance, grounded=False), coarse, MARGIN
-    ):
+
+    def hull(grid: VoxelGrid) -> NDArray[np.bool_]:
+        return tolerant_hull(views, shapes, grid, options, tolerance, grounded=False, jobs=threads)
+
+    for region in regions_of(hull(coarse), coarse, MARGIN):
         grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
-        inside = tolerant_hull(views, shapes, grid, options, tolerance, grounded=False)
-        solids.append(Solid(inside, grid))
+        solids.append(Solid(hull(grid), grid))
     return solids
 
 
@@ -55,13 +58,13 @@ def hidden_ground(
     pool: ThreadPoolExecutor,
 ) -> list[NDArray[np.uint8]]:
     """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
+    below = [down_to_ground(solid.inside) for solid in solids]
 
     def one(index: int) -> NDArray[np.uint8]:
         own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
         mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
-        for solid in solids:
-            below = down_to_ground(solid.inside)
-            mask = np.maximum(mask, render_mask(below, solid.grid, views[index]))
+        for filled, solid in zip(below, solids, strict=True):
+            mask = np.maximum(mask, render_mask(filled, solid.grid, views[index]))
         return mask
 
     return list(pool.map(one, range(len(views))))

@@ -11,6 +11,7 @@ from gvpipe.core.kernels.evidence import add_view_evidence
 from gvpipe.core.kernels.raycast import cast_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.slabs import Slabs, thin_slabs
 from gvpipe.core.types import Float, PosedView
 
 Volume = NDArray[np.float32]
@@ -76,18 +77,32 @@ def pixel_from_map(view: PosedView) -> Float:
 
 
 def log_support(
-    views: Sequence[PosedView],
+    matrices: Sequence[Float],
     silhouettes: Sequence[Silhouette],
     grid: VoxelGrid,
     floor: float,
+    *,
+    enough: float = -np.inf,
+    jobs: int = 1,
 ) -> tuple[Volume, NDArray[np.uint8]]:
-    """Sum of the log probabilities of all views that can judge a voxel, and their number."""
+    """Sum of the log probabilities of all views that can judge a voxel, and their number.
+
+    Views, given by their projections, are no longer asked about voxels whose sum has fallen below
+    `enough`.
+    """
     log_sum = np.zeros(grid.shape, np.float32)
     count = np.zeros(grid.shape, np.uint8)
-    for view, silhouette in zip(views, silhouettes, strict=True):
-        add_view_evidence(
-            silhouette, pixel_from_map(view), grid.origin, grid.spacing, floor, log_sum, count
-        )
+
+    def add(bounds: tuple[int, int]) -> None:
+        part, slab = grid.part(*bounds), slice(*bounds)
+        for matrix, silhouette in zip(matrices, silhouettes, strict=True):
+            add_view_evidence(
+                silhouette, matrix, part.origin, part.spacing, floor, enough,
+                log_sum[slab], count[slab],
+            )  # fmt: skip
+
+    with Slabs(jobs) as slabs:
+        slabs.map(add, thin_slabs(grid.shape))
     return log_sum, count
 
 
@@ -98,12 +113,14 @@ def tolerant_hull(
     options: EvidenceOptions,
     tolerance: float,
     grounded: bool = True,
+    jobs: int = 1,
 ) -> Bool:
     """Voxels that at most a share of their views contradict, in parts that are more than specks.
 
     Parts must also stand on the ground if `grounded`.
     """
-    log_sum, count = log_support(views, silhouettes, grid, options.view_floor)
+    matrices = [pixel_from_map(v) for v in views]
+    log_sum, count = log_support(matrices, silhouettes, grid, options.view_floor, jobs=jobs)
     inside = log_sum > np.log(options.view_floor) * tolerance * count + np.log(0.5)
     inside &= count >= max(options.min_views, VIEW_SHARE * int(count.max()))
     return standing(inside, STANDING_LAYERS if grounded else grid.shape[2])

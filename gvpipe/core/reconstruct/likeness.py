@@ -29,6 +29,9 @@ GLOSS_LEVELS, GLOSS_WIDTH, GLOSS_PRIOR = 30.0, 0.06, 0.03
 """Smooth differences of light: their size, levels, their extent as a share of the picture's width,
 and the weight of there being none."""
 
+FIELD_SIGMA = 12.0
+"""Pixels, at least, of that extent's standard deviation in the reduced picture it is worked on."""
+
 GROUND_LIKE = 4.0
 """Difference, in units of the expected, up to which a pixel teaches the noise of the ground."""
 
@@ -88,10 +91,12 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
         Where the background is known.
     """
     inside = known.astype(np.float32)
-    share: Single = np.maximum(_blur(inside, WINDOW), 1e-3)[..., None]
+    once, mask = 1 / np.maximum(_blur(inside, WINDOW), 1e-3), cv2.merge([inside] * 3)
+    inverse_share = cv2.merge([once] * 3)
 
     def mean(values: Single) -> Single:
-        return np.asarray(_blur(np.where(known[..., None], values, 0), WINDOW) / share, np.float32)
+        total = _blur(np.asarray(cv2.multiply(values, mask), np.float32), WINDOW)
+        return np.asarray(cv2.multiply(total, inverse_share, total), np.float32)
 
     base_mean = mean(background)
     contrast = _variance(mean(background**2), base_mean)
@@ -103,7 +108,7 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
             image = _blur(image, blur)
         image_mean = mean(image)
         variance = _variance(mean(image**2), image_mean)
-        common = (mean(image * background) - image_mean * base_mean).sum(axis=-1)
+        common = _summed(mean(image * background) - image_mean * base_mean)
         gain = np.clip(common / np.maximum(contrast, 1e-3), *CONTRAST)
         left = variance - 2 * gain * common + gain**2 * contrast
         texture = np.minimum(texture, np.maximum(left, 0)).astype(np.float32)
@@ -173,17 +178,22 @@ def without_gloss(picture: Image, background: Single, weight: Single) -> Single:
         Plus the mean difference around each pixel of what differs little.
     """
     off = picture.astype(np.float32) - background
-    likely = np.minimum(weight, 1) / (1 + (off**2).sum(axis=-1) / GLOSS_LEVELS**2) ** 2
+    likely = np.minimum(weight, 1) / (1 + _summed(off**2) / GLOSS_LEVELS**2) ** 2
     sigma = GLOSS_WIDTH * picture.shape[1]
-    total: Single = _blur(likely, sigma) + GLOSS_PRIOR
-    field = _blur(likely[..., None] * off, sigma) / total[..., None]
-    return np.asarray(background + field, np.float32)
+    # so smooth a field needs few pixels
+    factor = max(1, int(sigma / FIELD_SIGMA))
+    small = (-(-picture.shape[1] // factor), -(-picture.shape[0] // factor))
+    parts = cv2.merge([likely, *cv2.split(likely[..., None] * off)])
+    parts = _blur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), sigma / factor)
+    field = parts[..., 1:] / (parts[..., :1] + np.float32(GLOSS_PRIOR))
+    size = (picture.shape[1], picture.shape[0])
+    return np.asarray(background + cv2.resize(field, size), np.float32)
 
 
 def _shade(off: Single) -> Single:
     """Squared colour difference (H, W), less for what is whiter than expected: gloss adds white."""
-    grey = off.mean(axis=-1)
-    total = (off**2).sum(axis=-1)
+    grey = _summed(off) / 3
+    total = _summed(off**2)
     return np.asarray(total - (1 - GLOSS) * 3 * np.maximum(grey, 0) ** 2, np.float32)
 
 
@@ -202,4 +212,9 @@ def _blur(values: Single, sigma: float) -> Single:
 
 def _variance(mean_square: Single, mean: Single) -> Single:
     """Sum over the channels of the variance in the window."""
-    return np.asarray(np.maximum(mean_square - mean**2, 0).sum(axis=-1), np.float32)
+    return _summed(np.maximum(mean_square - mean**2, 0))
+
+
+def _summed(channels: Single) -> Single:
+    """Sum over three channels: numpy's own, along so short an axis, takes three times as long."""
+    return np.asarray(channels[..., 0] + channels[..., 1] + channels[..., 2], np.float32)

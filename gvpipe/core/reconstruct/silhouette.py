@@ -119,7 +119,7 @@ def silhouettes(
         raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
             shapes = _round(small, scale, options, raised, index == 0, pool)
-            solids = tolerant_solids(small.views, shapes, options, tolerance)
+            solids = tolerant_solids(small.views, shapes, options, tolerance, threads)
             hidden = hidden_ground(small.views, shapes, solids, pool)
             small.hide(hidden)
             raised = raised_surfaces(small.views, solids, threads)
@@ -127,7 +127,7 @@ def silhouettes(
         if hidden:
             full.hide(hidden)
         shapes = _round(full, scale, options, raised, not hidden, pool)
-    return without_ghosts(views, shapes, options)
+    return without_ghosts(views, shapes, options, threads)
 
 
 def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
