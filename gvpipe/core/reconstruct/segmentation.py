@@ -147,8 +147,8 @@ def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit:
 
     hue = ratio(_hue(picture), (BINS,) * 2)
     level = ratio(_level(picture), (LEVEL_BINS,) * 3)
-    gain: Single = hue + LEVEL_WEIGHT * (1 - np.abs(hue) / limit) * level
-    return gain
+    gain = hue + LEVEL_WEIGHT * (1 - np.abs(hue) / limit) * level
+    return gain.astype(np.float32)
 
 
 def _level(picture: Image) -> NDArray[np.int32]:
