@@ -56,7 +56,7 @@ class EvidenceOptions:
     outline: float = 1.5
     hidden_gain: float = 0.3
     first_colour_gain: float = 1.0
-    colour_gain: float = 0.2
+    colour_gain: float = 0.5
     view_floor: float = 0.05
     min_views: int = 3
     ground_softness: float = 0.002

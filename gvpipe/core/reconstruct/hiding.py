@@ -26,6 +26,10 @@ REGION_VOXELS = 600_000
 FINE_PER_HEIGHT = 100
 """Voxels per camera height in those regions, at most."""
 
+AROUND = np.ones((5, 5), np.uint8)
+"""Pixels by which what hides the ground is grown: a hull too small by one would pass the
+obstacle's edge, in its place in all views, for ground."""
+
 MARGIN = 4
 """Coarse voxels around a region: its tolerant hull may still grow."""
 
@@ -61,10 +65,9 @@ def hidden_ground(
     below = [down_to_ground(solid.inside) for solid in solids]
 
     def one(index: int) -> NDArray[np.uint8]:
-        own = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * 255
-        mask = cv2.dilate(own, np.ones((3, 3), np.uint8)).astype(np.uint8)
+        mask = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * np.uint8(255)
         for filled, solid in zip(below, solids, strict=True):
             mask = np.maximum(mask, render_mask(filled, solid.grid, views[index]))
-        return mask
+        return cv2.dilate(mask, AROUND).astype(np.uint8)
 
     return list(pool.map(one, range(len(views))))

@@ -22,8 +22,17 @@ COARSEST = 200
 ITERATIONS = 150
 """Primal-dual steps at the coarsest size; a third of them suffice from a good first guess."""
 
-BINS = 16
-"""Bins a channel of the colour histograms: 16 levels each, about the scale of shading."""
+BINS, LARGEST_LOG = 48, 1.2
+"""Bins of each of the two log ratios of channels, and the largest size they cover."""
+
+LEVEL_BINS, LEVEL_WEIGHT = 16, 0.4
+"""Bins a channel of the colours themselves, 16 levels each, and their weight beside the hue."""
+
+DARKEST = 8.0
+"""Levels added to a channel before its logarithm: in the dark noise makes any hue."""
+
+NOISE_BLUR = 0.7
+"""Blur, pixels, before hues are taken."""
 
 RARE = 1e-5
 """Share of a histogram below which a colour counts as never seen."""
@@ -102,6 +111,9 @@ def _outline_cost(picture: Image, strength: float) -> tuple[Single, Single]:
 def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit: float) -> Single:
     """How much more common each pixel's colour is inside a region than outside it.
 
+    Hues speak first: ground in the shade of an obstacle keeps its hue, while by its brightness it
+    would belong to the obstacle's dark side. Where hues leave it open, brightness has its say.
+
     Parameters
     ----------
     picture : (H, W, 3) uint8
@@ -116,19 +128,41 @@ def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit:
     Returns
     -------
     gain : (H, W) float32
-        Log ratio of the two histograms, within -limit..limit; 0 if the region is tiny.
+        Log ratio of the histograms, within -limit..limit; 0 if the region is tiny.
     """
-    cells = (picture >> 4).astype(np.int32)
-    index = (cells[..., 0] * BINS + cells[..., 1]) * BINS + cells[..., 2]
     inside = region[known].astype(np.float64)
     if inside.sum() < LEAST_PIXELS or (1 - inside).sum() < LEAST_PIXELS:
         return np.zeros(region.shape, np.float32)
-    logs = []
-    for weight in (inside, 1 - inside):
-        counts = np.bincount(index[known], weights=weight, minlength=BINS**3)
-        share = counts.reshape(BINS, BINS, BINS) / counts.sum()
-        smooth = ndimage.gaussian_filter(share, 0.8, mode="nearest")
-        logs.append(np.log(smooth + RARE).ravel())
-    ratio = np.clip(logs[0] - logs[1], -limit, limit).astype(np.float32)
-    gain: Single = ratio[index]
-    return gain
+
+    def ratio(index: NDArray[np.int32], shape: tuple[int, ...]) -> Single:
+        logs = []
+        for weight in (inside, 1 - inside):
+            counts = np.bincount(index[known], weights=weight, minlength=int(np.prod(shape)))
+            share = counts.reshape(shape) / counts.sum()
+            smooth = ndimage.gaussian_filter(share, 0.8, mode="nearest")
+            logs.append(np.log(smooth + RARE).ravel())
+        size = np.clip(logs[0] - logs[1], -limit, limit).astype(np.float32)
+        found: Single = size[index]
+        return found
+
+    hue = ratio(_hue(picture), (BINS,) * 2)
+    level = ratio(_level(picture), (LEVEL_BINS,) * 3)
+    gain = hue + LEVEL_WEIGHT * (1 - np.abs(hue) / limit) * level
+    return gain.astype(np.float32)
+
+
+def _level(picture: Image) -> NDArray[np.int32]:
+    """Bin (H, W) of each pixel's three channels."""
+    r, g, b = np.moveaxis(picture.astype(np.int32) * LEVEL_BINS // 256, -1, 0)
+    index: NDArray[np.int32] = (r * LEVEL_BINS + g) * LEVEL_BINS + b
+    return index
+
+
+def _hue(picture: Image) -> NDArray[np.int32]:
+    """Bin (H, W) of each pixel's log ratios of red and blue to green."""
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), NOISE_BLUR)
+    red, green, blue = np.moveaxis(np.log(smooth + DARKEST), -1, 0)
+    ratios = (np.stack([red - green, blue - green]) + LARGEST_LOG) / (2 * LARGEST_LOG)
+    a, b = np.clip(ratios * BINS, 0, BINS - 1).astype(np.int32)
+    hue: NDArray[np.int32] = a * BINS + b
+    return hue
