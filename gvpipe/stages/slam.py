@@ -33,8 +33,7 @@ SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
 
 LOOP_ROUNDS = 2
-"""Searches for more links: the second sees the map that the first one's loops have mended. A third
-only closes gaps and confirms single links."""
+"""Searches for more links: the second sees the map that the first one's loops have mended."""
 
 LOOPS_PER_IMAGE = 6
 """New links tried an image and round: more hardly add to the accuracy, and each costs a match."""
@@ -98,9 +97,6 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     cameras = {image: entry.camera for image, entry in entries.items()}
     mounts = {image: entry.mount for image, entry in entries.items()}
 
-    def adjusted() -> MapResult:
-        return build_map(cameras, mounts, list(entries), links, reference, options, control)
-
     settings = context.config.slam
     options = MapOptions(
         tilt_sigma=float(np.radians(settings.tilt_sigma_deg)),
@@ -109,26 +105,39 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
         height_sigma=settings.height_sigma,
     )
     control = control_points(context.config, context.dataset)
+
+    def adjusted(links: list[Link]) -> MapResult:
+        return build_map(cameras, mounts, list(entries), links, reference, options, control)
+
     links = [*_matched(context), *_overlapping(context)]
-    result = adjusted()
+    result = adjusted(links)
     # a pair whose link turned out wrong may be matched once more where that could bridge a gap
     tried = _tried(context) - {
         (link.image_i, link.image_j)
         for link, judged in zip(links, result.links, strict=True)
         if not judged.kept and judged.residual_m is None
     }
-    for search in range(LOOP_ROUNDS + 1 if settings.loops else 0):
-        pairs = _gaps(list(entries), links, result, tried, unconfirmed=search > 0)
-        if search < LOOP_ROUNDS:
-            pairs += _overlapping_ground(cameras, result, tried)
-        pairs = list(dict.fromkeys(pairs))
-        found = list(_searched(context, pairs)) if pairs else []
-        tried |= set(pairs)
-        if not found and search > 0:
-            break
-        if found:
-            links += found
-            result = adjusted()
+
+    def found(pairs: list[tuple[str, str]]) -> list[Link]:
+        tried.update(pairs)
+        return list(_searched(context, pairs)) if pairs else []
+
+    def grown(links: list[Link], result: MapResult) -> tuple[list[Link], MapResult]:
+        for _ in range(LOOP_ROUNDS):
+            more = found(_proposed(cameras, list(entries), result, tried))
+            if not more:
+                break
+            links = [*links, *more]
+            result = adjusted(links)
+        return links, result
+
+    if settings.loops:
+        links, result = grown(links, result)
+        confirming = found(_unconfirmed(list(entries), links, result, tried))
+        if confirming:
+            both = adjusted([*links, *confirming])
+            if not _agree(result, both):  # else the map is better off without such distant pairs
+                links, result = grown([*links, *confirming], both)
     if settings.control and not any(ground.fixed for ground in result.ground):
         raise InputError("slam.control: no map shows two different points of it")
     kept = tuple(link for link, x in zip(links, result.links, strict=True) if x.kept)
@@ -145,35 +154,35 @@ def _tried(context: Context) -> set[tuple[str, str]]:
     return pairs
 
 
-def _overlapping_ground(
-    cameras: dict[str, Camera], result: MapResult, tried: set[tuple[str, str]]
+def _proposed(
+    cameras: dict[str, Camera], order: list[str], result: MapResult, tried: set[tuple[str, str]]
 ) -> list[tuple[str, str]]:
-    """Pairs whose ground overlaps on the map."""
+    """Pairs whose ground overlaps on the map, and pairs that may bridge a gap in a chain."""
     pairs = []
     for component in result.components:
         poses = {image: result.poses[image].map_from_camera for image in component}
         pairs += loop_candidates(
             cameras, poses, tried, min_share=MIN_SHARED_GROUND, max_per_image=LOOPS_PER_IMAGE
         )
-    return [(c.image_i, c.image_j) for c in pairs]
+    pairs += gap_candidates(order, result.components, tried, max_gap=MAX_GAP)
+    return list(dict.fromkeys((c.image_i, c.image_j) for c in pairs))
 
 
-def _gaps(
-    order: list[str],
-    links: list[Link],
-    result: MapResult,
-    tried: set[tuple[str, str]],
-    *,
-    unconfirmed: bool,
+def _unconfirmed(
+    order: list[str], links: list[Link], result: MapResult, tried: set[tuple[str, str]]
 ) -> list[tuple[str, str]]:
-    """Pairs that may bridge a gap in a chain, or confirm what only one link holds together."""
-    pairs = gap_candidates(order, result.components, tried, max_gap=MAX_GAP)
-    if unconfirmed:
-        judged = zip(links, result.links, strict=True)
-        kept = {(link.image_i, link.image_j) for link, verdict in judged if verdict.kept}
-        parts = without_bridges(order, sorted(kept))
-        pairs += gap_candidates(order, parts, tried, max_gap=MAX_STRIDE)
+    """Pairs that may confirm what only one link holds together."""
+    judged = zip(links, result.links, strict=True)
+    kept = {(link.image_i, link.image_j) for link, verdict in judged if verdict.kept}
+    parts = without_bridges(order, sorted(kept))
+    pairs = gap_candidates(order, parts, tried, max_gap=MAX_STRIDE)
     return [(c.image_i, c.image_j) for c in pairs]
+
+
+def _agree(result: MapResult, more: MapResult) -> bool:
+    """Whether a map with more links keeps the same ones of the old, and joins nothing else."""
+    same = all(a.kept == b.kept for a, b in zip(result.links, more.links, strict=False))
+    return same and result.components == more.components
 
 
 def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
