@@ -164,7 +164,10 @@ def _prepared(
     memory_limit: str | None,
     says: tuple[bool, bool, bool],
 ) -> "tuple[Config, Reporter, int]":
-    """Check what a command was given: its configuration, where it reports, how many jobs."""
+    """Check what a command was given: its configuration, where it reports, how many jobs.
+
+    `says` is whether to be quiet, to be verbose and to log as JSON.
+    """
     quiet, verbose, log_json = says
     if quiet and verbose:
         raise UsageError("--quiet and --verbose exclude each other")
@@ -217,7 +220,7 @@ def run_stages(
     verbose: Verbose = False,
     log_json: LogJson = False,
 ) -> None:
-    """Run several of the six commands one after the other, in one process.
+    """Run all six commands, or those named, one after the other in one process.
 
     One that ends without a result (exit code 5) does not keep the others from running.
     """

@@ -1,5 +1,7 @@
 """Obstacle evidence on scenes whose obstacles, cameras and light are known."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from gvpipe.core.reconstruct.evidence import data_terms, find_regions, hull_prob
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions
 from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.hiding import hidden_ground
 from gvpipe.core.reconstruct.hull import (
     Solid,
     down_to_ground,
@@ -155,6 +158,13 @@ def test_views_are_asked_until_no_more_can_matter(views, shapes):
     np.testing.assert_allclose(p, expected, rtol=1e-5, atol=1e-8)
 
 
+def test_more_views_than_a_byte_counts_are_counted(views, shapes):
+    grid = VoxelGrid.over(np.array([-0.05, -0.05, 0.05]), np.array([0.05, 0.05, 0.1]), (2, 2, 2))
+    matrix = pixel_from_map(views[0])
+    _, count = log_support([matrix] * 258, [shapes[0]] * 258, grid, 0.05)
+    assert (count == 258).all()
+
+
 def test_area_weights_are_low_where_colours_agree(views, shapes):
     grid = VoxelGrid.over(np.array([-0.2, -0.2, 0.05]), np.array([0.2, 0.2, 0.25]), (4, 4, 2))
     options = EvidenceOptions()
@@ -270,7 +280,61 @@ def test_colours_of_the_region_speak_for_it():
     region[:20, 20:] = 1.0
     gain = colour_gain(picture, region, np.ones((40, 40), bool), 1.5)
     assert (gain[30:, 20:] > 0).all()  # the same red, not in the region yet
-    assert (gain[:, :20] < 0).all()
+    assert (gain[:, :19] < 0).all()  # the last one is blurred with its red neighbours
+
+
+def shaded_floor() -> tuple[np.ndarray, np.ndarray]:
+    """Brown floor, lit above and in the shade below, beside a dark blue obstacle; and where that is
+    known, in its upper half."""
+    lit, shade, obstacle = (180, 140, 90), (58, 44, 27), (34, 40, 54)
+    picture = np.empty((60, 60, 3), np.uint8)
+    picture[:30, :40], picture[30:, :40], picture[:, 40:] = lit, shade, obstacle
+    region = np.zeros((60, 60), np.float32)
+    region[:30, 40:] = 1.0
+    return picture, region
+
+
+def test_ground_in_the_shade_keeps_its_hue():
+    picture, region = shaded_floor()
+    known = np.ones((60, 60), bool)
+    known[30:] = False  # only lit ground teaches: by brightness shade would be the obstacle's
+    gain = colour_gain(picture, region, known, 1.5)
+    assert (gain[33:, 3:37] < -0.5).all()
+    assert (gain[33:, 43:] > 0.5).all()
+
+
+def test_brightness_decides_in_a_grey_world():
+    picture, region = shaded_floor()
+    grey = np.repeat(picture.max(axis=-1, keepdims=True), 3, axis=-1)
+    grey[:, :40] = 140
+    gain = colour_gain(grey, region, np.ones((60, 60), bool), 1.5)
+    assert (gain[:, 3:37] < -0.1).all()
+    assert (gain[:, 43:] > 0.1).all()
+
+
+def test_the_gain_of_colours_keeps_its_limit():
+    rng = np.random.default_rng(4)
+    picture = rng.integers(0, 256, (60, 60, 3)).astype(np.uint8)
+    picture[:, 30:] //= 3
+    region = np.zeros((60, 60), np.float32)
+    region[:, 30:] = 1.0
+    gain = colour_gain(picture, region, np.ones((60, 60), bool), 1.5)
+    assert np.abs(gain).max() <= 1.5
+
+
+def test_what_hides_the_ground_is_grown_by_two_pixels(views):
+    shapes = [np.full((CAMERA.height, CAMERA.width), np.nan, np.float32) for _ in views]
+    shapes[0][40:60, 50:80] = 1.0
+    grown = np.zeros_like(shapes[0], bool)
+    grown[38:62, 48:82] = True
+    with ThreadPoolExecutor(1) as pool:
+        first, second, *_ = hidden_ground(views, shapes, [], pool)
+        behind = hidden_ground(views, shapes, [box_grid()], pool)[1]
+    np.testing.assert_array_equal(first, np.where(grown, 255, 0))
+    assert not second.any()
+    true = true_mask(views[1].map_from_camera)
+    assert (behind[true] == 255).all()
+    assert (behind == 255).sum() < 1.5 * true.sum()
 
 
 def test_only_parts_on_the_ground_stand():

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -6,9 +8,9 @@ from scipy.stats import chi2
 from gvpipe.core.geometry.homography import apply, fit_linear, transfer_errors
 from gvpipe.core.geometry.pose import robot_from_camera, rotation_vector
 from gvpipe.core.slam.adjustment import adjust, approach, begin
-from gvpipe.core.slam.correlation import shared_errors
+from gvpipe.core.slam.correlation import JUDGED_LINKS, judged_links, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
-from gvpipe.core.slam.links import matches_of
+from gvpipe.core.slam.links import Matches, matches_of
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
 from gvpipe.core.slam.rig import (
     Rig,
@@ -190,6 +192,24 @@ def test_many_pictures_of_a_robot_are_not_taken_by_hand() -> None:
     adjusted = adjust(problem, start, None)
     assert adjusted.spread.within[0, 2] == pytest.approx(0.002, rel=0.4)
     assert adjusted.spread.anchor[0] == -1
+
+
+def test_matches_are_sampled_evenly() -> None:
+    counts = (0, 3, 4, 9, 1)
+    start = np.append(0, np.cumsum(counts))
+    points = np.arange(34.0).reshape(17, 2)
+    few = Matches(start, points, points + 100.0).sampled(4)
+    expected = [points[a:b][:: max(-(-(b - a) // 4), 1)] for a, b in itertools.pairwise(start)]
+    assert few.count.tolist() == [0, 3, 4, 3, 1]
+    np.testing.assert_array_equal(few.points_i, np.concatenate(expected))
+    np.testing.assert_array_equal(few.points_j, few.points_i + 100.0)
+
+
+def test_few_links_are_all_judged_and_many_are_thinned() -> None:
+    assert len(range(7)[judged_links(7)]) == 7
+    assert len(range(0)[judged_links(0)]) == 0
+    assert len(range(JUDGED_LINKS + 1)[judged_links(JUDGED_LINKS + 1)]) > JUDGED_LINKS / 2
+    assert len(range(10_000)[judged_links(10_000)]) <= JUDGED_LINKS
 
 
 def test_cells_of_matches_say_what_the_matches_say() -> None:

@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Sequence
 from html import escape
 
-UNITS = ("B", "KB", "MB", "GB")
-
 
 def text(value: object) -> str:
     """Escape a text for HTML, inside an element or an attribute."""

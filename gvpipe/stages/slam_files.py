@@ -10,7 +10,7 @@ from gvpipe.core.geometry.ground import pixel_from_plane, plane_normal
 from gvpipe.core.geometry.homography import apply
 from gvpipe.core.geometry.pose import mount_of
 from gvpipe.core.geometry.relative_pose import choose, decompose, ground_motion, motion_covariance
-from gvpipe.core.slam.correlation import JUDGED_LINKS, shared_errors
+from gvpipe.core.slam.correlation import judged_links, shared_errors
 from gvpipe.core.slam.links import Link
 from gvpipe.core.slam.location_graph import SeenGround
 from gvpipe.core.types import Float, Pose
@@ -97,7 +97,7 @@ def _pose_graph(poses: dict[str, Pose], evidence: SlamEvidence) -> str:
     """Write what each link alone says about its two cameras, beside the poses of the map."""
     number = {image: k for k, image in enumerate(poses)}
     links = [x for x in evidence.links if x.image_i in poses and x.image_j in poses]
-    some = links[:: -(-max(len(links), 1) // JUDGED_LINKS)]
+    some = links[judged_links(len(links))]
     shared = shared_errors((x.homography, x.points_i, x.points_j) for x in some)
     edges = []
     for link in links:

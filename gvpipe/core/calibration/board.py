@@ -18,9 +18,6 @@ FEWEST_CORNERS = 8
 LEAST_TURN_DEG = 12.0
 """Boards that all lie within this of one direction leave the focal length open."""
 
-WINDOW_SHARE = 0.25
-"""Half side of the corner refinement's window, as a share of the distance between corners."""
-
 DICTIONARY = cv2.aruco.DICT_4X4_250
 
 

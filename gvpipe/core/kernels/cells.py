@@ -23,6 +23,8 @@ def gathered_cells(
 
     Parameters
     ----------
+    start : (L + 1,) int64, p, q : (M, 2) float64
+        Matches ``start[e]:start[e + 1]`` of link e: pixels in i and in j.
     which : (E,) int64
         The links.
     h : (E, 3, 3) float64

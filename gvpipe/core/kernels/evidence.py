@@ -19,7 +19,7 @@ def add_view_evidence(
     floor: float,
     enough: float,
     log_sum: Single,
-    count: Bytes,
+    count: NDArray[np.uint16],
 ) -> None:
     """Add one view's log probabilities to every voxel it can judge.
 
@@ -37,7 +37,7 @@ def add_view_evidence(
         Voxels whose sum has fallen below this are left alone.
     log_sum : (nx, ny, nz) float32
         Changed in place: plus log(max(p, floor)).
-    count : (nx, ny, nz) uint8
+    count : (nx, ny, nz) uint16
         Changed in place: plus one.
     """
     nx, ny, nz = log_sum.shape

@@ -148,9 +148,8 @@ def _correlation(
             column, row = p0 + u_p * x + v_p * y, q0 + u_q * x + v_q * y
             i, j = np.int32(row), np.int32(column)
             fq, fp = row - np.float32(i), column - np.float32(j)
-            at = np.uint64(
-                start + i * width + j
-            )  # unsigned: indices that cannot count from the end
+            # unsigned: an index that cannot count from the end
+            at = np.uint64(start + i * width + j)
             below = at + np.uint64(width)
             upper = pictures[at] + fp * (pictures[at + ONE] - pictures[at])
             lower = pictures[below] + fp * (pictures[below + ONE] - pictures[below])

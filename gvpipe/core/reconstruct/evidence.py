@@ -57,6 +57,14 @@ def hull_probability(
     product of many views would let the worst of them carve: beyond ``SURE_VIEWS`` a share of the
     further ones may contradict.
 
+    Parameters
+    ----------
+    views : sequence of PosedView
+    silhouettes : sequence of (H, W) float32
+        Theirs, NaN where unknown.
+    grid : VoxelGrid
+    options : EvidenceOptions
+
     Returns
     -------
     probability : (nx, ny, nz) float32
@@ -71,7 +79,7 @@ def _hull(
     grid: VoxelGrid,
     options: EvidenceOptions,
 ) -> Volume:
-    """Do the same for views given by their projections."""
+    """Return :func:`hull_probability` of views given by their projections, (3, 4) float64 each."""
     most = FAILING_SHARE * max(len(matrices) - SURE_VIEWS, 0)
     enough = np.log(NIL) + np.log(options.view_floor) * most
     log_sum, count = log_support(matrices, silhouettes, grid, options.view_floor, enough=enough)
@@ -203,6 +211,15 @@ def find_regions(
 
     A coarse hull over all ground near the cameras is split into connected parts; parts that do
     not reach the ground are dropped (nothing floats), boxes that touch are joined.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    silhouettes : sequence of (H, W) float32
+        Theirs, NaN where unknown.
+    options : EvidenceOptions
+    jobs : int
+        Threads; the result does not depend on them.
 
     Returns
     -------

@@ -44,6 +44,8 @@ def without_ghosts(
     shapes : sequence of (H, W) float32
         Silhouettes, NaN where unknown.
     options : EvidenceOptions
+    threads : int
+        Do not change the result.
 
     Returns
     -------

@@ -26,7 +26,7 @@ REGION_VOXELS = 600_000
 FINE_PER_HEIGHT = 100
 """Voxels per camera height in those regions, at most."""
 
-AROUND = np.ones((5, 5), np.uint8)
+GROWTH = 2
 """Pixels by which what hides the ground is grown: a hull too small by one would pass the
 obstacle's edge, in its place in all views, for ground."""
 
@@ -41,7 +41,23 @@ def tolerant_solids(
     tolerance: float,
     threads: int = 1,
 ) -> list[Solid]:
-    """Tolerant hulls of the silhouettes, one for each region they stand in."""
+    """Tolerant hulls of the silhouettes, one for each region they stand in.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    shapes : sequence of (H, W) float32
+        Silhouettes, NaN where unknown.
+    options : EvidenceOptions
+    tolerance : float
+        Share of its views that may contradict a voxel.
+    threads : int
+        Do not change the result.
+
+    Returns
+    -------
+    solids : list of Solid
+    """
     coarse = search_grid(views)
     height = float(np.median([v.map_from_camera.translation[2] for v in views]))
     solids = []
@@ -61,13 +77,30 @@ def hidden_ground(
     solids: Sequence[Solid],
     pool: ThreadPoolExecutor,
 ) -> list[NDArray[np.uint8]]:
-    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's."""
+    """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's, grown.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    shapes : sequence of (H, W) float32
+        Silhouettes, NaN where unknown.
+    solids : sequence of Solid
+        What may stand, see :func:`tolerant_solids`.
+    pool : ThreadPoolExecutor
+        Works on the views.
+
+    Returns
+    -------
+    hidden : list of (H, W) uint8
+        255 where the ground is hidden, else 0.
+    """
     below = [down_to_ground(solid.inside) for solid in solids]
+    around = np.ones((2 * GROWTH + 1,) * 2, np.uint8)
 
     def one(index: int) -> NDArray[np.uint8]:
         mask = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * np.uint8(255)
         for filled, solid in zip(below, solids, strict=True):
             mask = np.maximum(mask, render_mask(filled, solid.grid, views[index]))
-        return cv2.dilate(mask, AROUND).astype(np.uint8)
+        return cv2.dilate(mask, around).astype(np.uint8)
 
     return list(pool.map(one, range(len(views))))

@@ -84,14 +84,32 @@ def log_support(
     *,
     enough: float = -np.inf,
     jobs: int = 1,
-) -> tuple[Volume, NDArray[np.uint8]]:
-    """Sum of the log probabilities of all views that can judge a voxel, and their number.
+) -> tuple[Volume, NDArray[np.uint16]]:
+    """Sum the log probabilities of all views that can judge a voxel, and count these.
 
-    Views, given by their projections, are no longer asked about voxels whose sum has fallen below
-    `enough`.
+    Parameters
+    ----------
+    matrices : sequence of (3, 4) float64
+        Pixels from map of the views, see :func:`pixel_from_map`.
+    silhouettes : sequence of (H, W) float32
+        Theirs, NaN where unknown.
+    grid : VoxelGrid
+    floor : float
+        Lowest probability one view may contribute.
+    enough : float
+        Views are no longer asked about voxels whose sum has fallen below this.
+    jobs : int
+        Threads; the result does not depend on them.
+
+    Returns
+    -------
+    log_sum : (nx, ny, nz) float32
+        At most 0.
+    count : (nx, ny, nz) uint16
+        Views asked that can judge the voxel.
     """
     log_sum = np.zeros(grid.shape, np.float32)
-    count = np.zeros(grid.shape, np.uint8)
+    count = np.zeros(grid.shape, np.uint16)
 
     def add(bounds: tuple[int, int]) -> None:
         part, slab = grid.part(*bounds), slice(*bounds)
@@ -117,7 +135,23 @@ def tolerant_hull(
 ) -> Bool:
     """Voxels that at most a share of their views contradict, in parts that are more than specks.
 
-    Parts must also stand on the ground if `grounded`.
+    Parameters
+    ----------
+    views : sequence of PosedView
+    silhouettes : sequence of (H, W) float32
+        Theirs, NaN where unknown.
+    grid : VoxelGrid
+    options : EvidenceOptions
+    tolerance : float
+        Share of its views that may contradict a voxel.
+    grounded : bool
+        Parts must also stand on the ground.
+    jobs : int
+        Threads; the result does not depend on them.
+
+    Returns
+    -------
+    inside : (nx, ny, nz) bool
     """
     matrices = [pixel_from_map(v) for v in views]
     log_sum, count = log_support(matrices, silhouettes, grid, options.view_floor, jobs=jobs)

@@ -6,9 +6,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gvpipe.core.kernels.segmentation import cut
-from gvpipe.core.types import Image
+from gvpipe.core.types import Float, Image
 
 Single = NDArray[np.float32]
+Bins = NDArray[np.int32]
 
 EDGE_FLOOR = 0.15
 """Share of the cost of a cut that remains across the strongest edge."""
@@ -22,17 +23,22 @@ COARSEST = 200
 ITERATIONS = 150
 """Primal-dual steps at the coarsest size; a third of them suffice from a good first guess."""
 
-BINS, LARGEST_LOG = 48, 1.2
-"""Bins of each of the two log ratios of channels, and the largest size they cover."""
+HUE_BINS, HUE_LIMIT = 48, 1.2
+"""Bins of each of the two log ratios of channels, and the largest size of a ratio that they cover:
+3.3 times as much of one as of the other."""
 
 LEVEL_BINS, LEVEL_WEIGHT = 16, 0.4
-"""Bins a channel of the colours themselves, 16 levels each, and their weight beside the hue."""
+"""Bins a channel of the colours themselves, 16 levels each, and their weight where hues say
+nothing."""
 
 DARKEST = 8.0
 """Levels added to a channel before its logarithm: in the dark noise makes any hue."""
 
 NOISE_BLUR = 0.7
-"""Blur, pixels, before hues are taken."""
+"""Sigma, pixels, of the blur that takes sensor noise off before neighbours or hues are compared."""
+
+BIN_BLUR = 0.8
+"""Sigma, bins, of the blur of histograms: what falls just beside a bin was seen, too."""
 
 RARE = 1e-5
 """Share of a histogram below which a colour counts as never seen."""
@@ -95,7 +101,7 @@ def without_specks(region: Single, smallest: int) -> Single:
 
 def _outline_cost(picture: Image, strength: float) -> tuple[Single, Single]:
     """Cost of a cut between a pixel and the next to the right, and the next below."""
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.7)
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), NOISE_BLUR)
     right = np.zeros(smooth.shape[:2], np.float32)
     below = np.zeros_like(right)
     right[:, :-1] = (np.diff(smooth, axis=1) ** 2).sum(axis=-1)
@@ -112,7 +118,8 @@ def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit:
     """How much more common each pixel's colour is inside a region than outside it.
 
     Hues speak first: ground in the shade of an obstacle keeps its hue, while by its brightness it
-    would belong to the obstacle's dark side. Where hues leave it open, brightness has its say.
+    would belong to the obstacle's dark side. Where hues leave it open, brightness has its say, the
+    more the less they say.
 
     Parameters
     ----------
@@ -128,41 +135,48 @@ def colour_gain(picture: Image, region: Single, known: NDArray[np.bool_], limit:
     Returns
     -------
     gain : (H, W) float32
-        Log ratio of the histograms, within -limit..limit; 0 if the region is tiny.
+        Log ratio of the histograms, within -limit..limit; 0 if the region, or what is outside
+        it, is tiny.
     """
     inside = region[known].astype(np.float64)
     if inside.sum() < LEAST_PIXELS or (1 - inside).sum() < LEAST_PIXELS:
         return np.zeros(region.shape, np.float32)
-
-    def ratio(index: NDArray[np.int32], shape: tuple[int, ...]) -> Single:
-        logs = []
-        for weight in (inside, 1 - inside):
-            counts = np.bincount(index[known], weights=weight, minlength=int(np.prod(shape)))
-            share = counts.reshape(shape) / counts.sum()
-            smooth = ndimage.gaussian_filter(share, 0.8, mode="nearest")
-            logs.append(np.log(smooth + RARE).ravel())
-        size = np.clip(logs[0] - logs[1], -limit, limit).astype(np.float32)
-        found: Single = size[index]
-        return found
-
-    hue = ratio(_hue(picture), (BINS,) * 2)
-    level = ratio(_level(picture), (LEVEL_BINS,) * 3)
+    hue = _log_ratio(_hue(picture), (HUE_BINS,) * 2, known, inside, limit)
+    level = _log_ratio(_level(picture), (LEVEL_BINS,) * 3, known, inside, limit)
     gain = hue + LEVEL_WEIGHT * (1 - np.abs(hue) / limit) * level
     return gain.astype(np.float32)
 
 
-def _level(picture: Image) -> NDArray[np.int32]:
+def _log_ratio(
+    index: Bins, shape: tuple[int, ...], known: NDArray[np.bool_], inside: Float, limit: float
+) -> Single:
+    """How much more common each pixel's bin is inside than outside, log within -limit..limit.
+
+    The histograms have `shape`; `inside` (K,) is the membership of the known pixels.
+    """
+    logs = []
+    for weight in (inside, 1 - inside):
+        counts = np.bincount(index[known], weights=weight, minlength=int(np.prod(shape)))
+        share = counts.reshape(shape) / counts.sum()
+        smooth = ndimage.gaussian_filter(share, BIN_BLUR, mode="nearest")
+        logs.append(np.log(smooth + RARE).ravel())
+    ratio = np.clip(logs[0] - logs[1], -limit, limit).astype(np.float32)
+    found: Single = ratio[index]
+    return found
+
+
+def _level(picture: Image) -> Bins:
     """Bin (H, W) of each pixel's three channels."""
     r, g, b = np.moveaxis(picture.astype(np.int32) * LEVEL_BINS // 256, -1, 0)
-    index: NDArray[np.int32] = (r * LEVEL_BINS + g) * LEVEL_BINS + b
+    index: Bins = (r * LEVEL_BINS + g) * LEVEL_BINS + b
     return index
 
 
-def _hue(picture: Image) -> NDArray[np.int32]:
+def _hue(picture: Image) -> Bins:
     """Bin (H, W) of each pixel's log ratios of red and blue to green."""
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), NOISE_BLUR)
     red, green, blue = np.moveaxis(np.log(smooth + DARKEST), -1, 0)
-    ratios = (np.stack([red - green, blue - green]) + LARGEST_LOG) / (2 * LARGEST_LOG)
-    a, b = np.clip(ratios * BINS, 0, BINS - 1).astype(np.int32)
-    hue: NDArray[np.int32] = a * BINS + b
-    return hue
+    ratios = (np.stack([red - green, blue - green]) + HUE_LIMIT) / (2 * HUE_LIMIT)
+    a, b = np.clip(ratios * HUE_BINS, 0, HUE_BINS - 1).astype(np.int32)
+    index: Bins = a * HUE_BINS + b
+    return index

@@ -143,6 +143,7 @@ def adjust(problem: Problem, start: Adjusted, height_sigma: float | None) -> Adj
     for _ in range(ROUNDS):
         state, factor = problem.minimise(state, spread, loss_px, noise_px, STEPS, ROUND_GAIN)
         state = rescaled(state, spread)
+        # one that foretold the last steps is near enough for variances that are about to change
         factor = factor or problem.normal(state, spread, loss_px, noise_px).factor()
         variance = _variances(problem, state, factor)
         tighter = _within(problem.rig, state, spread, variance, height_sigma)

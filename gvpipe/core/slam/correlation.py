@@ -26,6 +26,11 @@ SMALLEST_PX = 1e-6
 """Errors below which matches are exact and share nothing, pixels."""
 
 
+def judged_links(count: int) -> slice:
+    """Which of so many links tell how much is shared: every n-th, ``JUDGED_LINKS`` at most."""
+    return slice(None, None, max(-(-count // JUDGED_LINKS), 1))
+
+
 def shared_errors(pairs: Iterable[tuple[Float, Float, Float]]) -> float:
     """Variance of what matches of a pair determine, over that of independent errors.
 

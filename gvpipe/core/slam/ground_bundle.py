@@ -25,7 +25,7 @@ FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8
 """Share by which the diagonal is raised at first, and where the search for a step ends."""
 
-TRUE = 0.5
+PROMISE_KEPT = 0.5
 """Share of what a factor promises of a step that the step must gain for the factor to go on."""
 
 
@@ -140,7 +140,7 @@ class Problem:
                 damping *= 10.0 if fresh else 1.0
             if gained <= gain * cost:
                 break
-            if gained < -TRUE * float(gradient @ step) or damping > FIRST_DAMPING:
+            if gained < -PROMISE_KEPT * float(gradient @ step) or damping > FIRST_DAMPING:
                 factor = None
         return state, factor if damping <= FIRST_DAMPING else None
 

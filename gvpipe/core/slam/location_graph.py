@@ -91,13 +91,10 @@ def build_map(
     Raises
     ------
     ValueError
-        If `reference` or an image of a link is not in `order`.
+        If `reference`, or an image of a link or a known point, is not in `order`.
     """
-    index = {image: k for k, image in enumerate(order)}
     named = [x for link in links for x in (link.image_i, link.image_j)]
-    for image in (reference, *named, *(point.image for point in control)):
-        if image not in index:
-            raise ValueError(f"{image} is not among the images to map")
+    index = _index(order, (reference, *named, *(point.image for point in control)))
     linked, group = LinkSet.of(links, order), _robots(order)
     ends = linked.ends
     held = hold(linked, [cameras[x] for x in order], [mounts[x] for x in order], group)
@@ -130,6 +127,15 @@ def build_map(
         keep = revised
     judged = Gathered(order, views, parts, ends, links, keep, known_px, distances_m)
     return judged.result(held.reasons)
+
+
+def _index(order: Sequence[str], named: Sequence[str]) -> dict[str, int]:
+    """Return the number of each image; the named ones must be among them."""
+    index = {image: k for k, image in enumerate(order)}
+    for image in named:
+        if image not in index:
+            raise ValueError(f"{image} is not among the images to map")
+    return index
 
 
 def _numbered(control: Sequence[ControlPoint], index: Mapping[str, int]) -> Control:

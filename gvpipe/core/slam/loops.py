@@ -1,5 +1,6 @@
 """Pairs of images worth matching, found from the growing map."""
 
+from bisect import bisect_left
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -181,7 +182,7 @@ def without_bridges(
                 if way:
                     back[way[-1][0]] = min(back[way[-1][0]], back[image])
                 if back[image] == reached[image]:  # nothing beyond leads back before it
-                    first = waiting.index(image)
+                    first = bisect_left(waiting, reached[image], key=reached.__getitem__)
                     parts.append(tuple(waiting[first:]))
                     del waiting[first:]
     return parts

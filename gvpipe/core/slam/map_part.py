@@ -9,7 +9,7 @@ from gvpipe.core.geometry.ground import calibrations, pixel_from_plane
 from gvpipe.core.geometry.pose import rotation_matrix, upright, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
-from gvpipe.core.slam.correlation import JUDGED_LINKS, shared_errors
+from gvpipe.core.slam.correlation import judged_links, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import LinkSet
 from gvpipe.core.slam.rig import Rig, centres, orientation
@@ -183,11 +183,11 @@ def _shared(views: Views, members: Index, poses: list[Pose], slot: Index, linked
     """How much the errors of matches have in common, from some of the links."""
     cameras = [views.cameras[k] for k in members.tolist()]
     plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
-    every = slice(None, None, -(-len(linked.links) // JUDGED_LINKS))
-    ends = slot[linked.ends[every]].tolist()
+    some = judged_links(len(linked.links))
+    ends = slot[linked.ends[some]].tolist()
     return shared_errors(
         (plane[j] @ np.linalg.inv(plane[i]), link.points_i, link.points_j)
-        for (i, j), link in zip(ends, linked.links[every], strict=True)
+        for (i, j), link in zip(ends, linked.links[some], strict=True)
     )
 
 
