@@ -11,7 +11,14 @@ import typer
 from typer.core import TyperCommand
 
 from gvpipe import __version__
-from gvpipe.errors import GvpipeError, NoResultError, OutputError, ResourceError, UsageError
+from gvpipe.errors import (
+    GvpipeError,
+    InputError,
+    NoResultError,
+    OutputError,
+    ResourceError,
+    UsageError,
+)
 from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_tools
 
@@ -186,13 +193,20 @@ def _prepared(
 
 
 def _do(
-    name: str, config: "Config", reporter: "Reporter", jobs: int, *, force: bool, dry_run: bool
+    name: str,
+    config: "Config",
+    reporter: "Reporter",
+    jobs: int,
+    *,
+    force: bool,
+    dry_run: bool,
+    before: Sequence[str] = (),
 ) -> None:
-    """Run one stage, or say what it would do."""
+    """Run one stage, or say what it would do once those before it have run."""
     if dry_run:
         from gvpipe.plan import plan_stage
 
-        plan_stage(name, config, reporter, jobs=jobs, force=force)
+        plan_stage(name, config, reporter, jobs=jobs, force=force, before=before)
         return
     from gvpipe.runner import run_stage
 
@@ -222,20 +236,26 @@ def run_stages(
 ) -> None:
     """Run all six commands, or those named, one after the other in one process.
 
-    One that ends without a result (exit code 5) does not keep the others from running.
+    One that ends without a result (exit code 5) does not keep the others from running, unless
+    they need it.
     """
     names = list(COMMANDS) if stages is None else stages.split(",")
     for name in names:
         if name not in COMMANDS:
             raise UsageError(f"--stages: {name!r} is none of {', '.join(COMMANDS)}")
     prepared = _prepared(config, out, overrides, jobs, memory_limit, (quiet, verbose, log_json))
+    chosen = [name for name in COMMANDS if name in names]
     missing: NoResultError | None = None
-    for name in COMMANDS:
-        if name in names:
-            try:
-                _do(name, *prepared, force=force, dry_run=dry_run)
-            except NoResultError as error:
-                missing = missing or error
+    for k, name in enumerate(chosen):
+        try:
+            _do(name, *prepared, force=force, dry_run=dry_run, before=chosen[:k])
+        except NoResultError as error:
+            missing = missing or error
+        except InputError as error:
+            if missing is None:
+                raise
+            # most likely a consequence, and the cause is what helps
+            raise NoResultError(f"{missing}\n{name}: {error}") from error
     if missing:
         raise missing
 

@@ -1,6 +1,6 @@
 """What a command would do, without doing it: freshness, pairs, time and memory."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from math import prod
 
 from gvpipe.chain import Chain, open_images, stage_module
@@ -28,7 +28,15 @@ BYTES_PER_VOXEL = 42
 """Memory that the reconstruction takes beside its libraries, measured likewise."""
 
 
-def plan_stage(name: str, config: Config, reporter: Reporter, *, jobs: int, force: bool) -> None:
+def plan_stage(
+    name: str,
+    config: Config,
+    reporter: Reporter,
+    *,
+    jobs: int,
+    force: bool,
+    before: Collection[str] = (),
+) -> None:
     """Say what a command of the chain would do; write nothing.
 
     Parameters
@@ -43,6 +51,8 @@ def plan_stage(name: str, config: Config, reporter: Reporter, *, jobs: int, forc
         Worker processes or threads that would run.
     force : bool
         Whether it would run even if its artefact is fresh.
+    before : collection of str
+        Commands that the same run would do before it.
 
     Raises
     ------
@@ -52,18 +62,18 @@ def plan_stage(name: str, config: Config, reporter: Reporter, *, jobs: int, forc
     dataset = open_images(config, jobs)
     chain = Chain(config, dataset)
     rows = [("images", f"{len(dataset.entries)} used, {len(dataset.skipped)} skipped")]
-    ready = True
+    ready, renewed = True, False
     for stage in _upstream(name, config):
         state = _state(chain, stage)
-        ready &= state is None
-        rows.append((stage, state or "fresh"))
-    state = _state(chain, name)
+        runs = stage in before and (force or state is not None)
+        ready &= runs or state is None
+        renewed |= runs
+        rows.append((stage, "would run before" if runs else state or "fresh"))
+    why = "after what it reads" if renewed else _state(chain, name) or ("forced" if force else None)
     if not ready:
         rows.append((name, "cannot run before what it reads is fresh"))
-    elif state is None and not force:
-        rows.append((name, "fresh, nothing to do"))
     else:
-        rows.append((name, f"would run: {state or 'forced'}"))
+        rows.append((name, f"would run: {why}" if why else "fresh, nothing to do"))
     if name == "match":
         rows.append(("pairs", str(len(planned_pairs(config, dataset)))))
     seconds, size = estimate(name, config, dataset, jobs)

@@ -52,6 +52,22 @@ class _JsonLines(logging.Formatter):
         return json.dumps(row, ensure_ascii=True)
 
 
+class _Once(logging.Filter):
+    """Lets each warning pass once: the commands of one run meet the same pictures."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._said: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.levelno != logging.WARNING:
+            return True
+        message = record.getMessage()
+        new = message not in self._said
+        self._said.add(message)
+        return new
+
+
 class _Console(Console):
     """A console whose reader may leave."""
 
@@ -97,6 +113,7 @@ class Reporter:
         else:
             handler = logging.StreamHandler(sys.stderr)
             handler.setFormatter(_Lines("%(levelname)-8s %(message)s"))
+        handler.addFilter(_Once())
         log.handlers[:] = [handler]
         log.propagate = False
         log.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)

@@ -315,6 +315,12 @@ def test_no_result_ends_with_5_and_says_why(tiny: TinySet, tmp_path: Path, capsy
     assert run(["run", str(config), "--stages", "match,overlap,slam"]) == 5
     assert (tmp_path / "run/slam/slam.json").exists()
     assert run(["match", str(config)]) == 5  # fresh, and still without a result
+    capsys.readouterr()
+    # one that needs the result cannot; the cause is told first
+    assert run(["run", str(config), "-q"]) == 5
+    cause, consequence = capsys.readouterr().err.splitlines()
+    assert cause.startswith("gvpipe: match: no result: no pair matched")
+    assert consequence.endswith("slam.json: no image could be linked to another")
 
 
 def test_unwritable_outputs_end_with_6(tiny: TinySet, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]

@@ -49,3 +49,12 @@ def test_errors_are_said_even_in_silence(
     shown = capsys.readouterr()
     assert shown.out == ""
     assert "`gvpipe match CONFIG` makes it" in shown.err
+
+
+def test_a_run_of_several_commands_says_each_warning_once(
+    damaged: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["run", *damaged[1:], "--stages", "match,localize"]) == 0
+    shown = capsys.readouterr()
+    assert "gvpipe localize" in shown.out
+    assert shown.err.count("skipped A/2.png") == 1

@@ -34,6 +34,24 @@ def test_a_dry_run_before_anything_names_what_is_missing_and_writes_nothing(
     assert not out.exists()
 
 
+def test_a_dry_run_of_several_commands_knows_what_runs_before(
+    tiny: TinySet,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", "400")
+    out = tmp_path / "run"
+    text = said(capsys, "run", str(tiny.config), "--out", str(out))
+    assert "slam would run: after what it reads" in text
+    assert "cannot run" not in text
+    # the matches that all of these need are nobody's task
+    some = said(capsys, "run", str(tiny.config), "--out", str(out), "--stages", "slam,mosaic")
+    assert "slam cannot run" in some
+    assert "mosaic cannot run" in some
+    assert not out.exists()
+
+
 def test_a_dry_run_after_everything_finds_nothing_to_do(
     chain: TinySet, capsys: pytest.CaptureFixture[str]
 ) -> None:

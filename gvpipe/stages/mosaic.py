@@ -56,7 +56,8 @@ def run(context: Context) -> Outcome[MosaicBody, Maps]:
         except ValueError as error:
             if rows:  # a stray picture of the horizon does not spoil the map
                 continue
-            raise InputError(f"{slam.folder / slam.body.file}: {error}") from None
+            why = slam.header.reason or error
+            raise InputError(f"{slam.folder / slam.body.file}: {why}") from None
         composition = Composition(pictures, raster, BLENDS[settings.blend], context.jobs)
         suffix = f"_{len(rows)}" if rows else ""
         parts.append((suffix, composition))

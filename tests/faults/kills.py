@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 
 from tests.faults.rig import (
+    COMMANDS,
     STAGES,
     Ended,
     make_small_set,
@@ -64,7 +65,7 @@ class Target:
         """Make a set in a folder and run the chain on it."""
         config = make_small_set(folder / "set")
         seconds = {}
-        for stage in STAGES:
+        for stage in COMMANDS:
             run(stage, config)  # compiles what is not compiled yet
             started = time.monotonic()
             ended = run(stage, config, "--force")
@@ -78,16 +79,16 @@ class Target:
         return snapshot(self.config.parent / "run")
 
     def prepare(self, stage: str) -> Path:
-        """Make an output folder in which everything before a stage is done."""
+        """Make an output folder in which everything before a command is done."""
         out = Path(tempfile.mkdtemp(dir=self.folder))
-        for done in STAGES[: STAGES.index(stage)]:
+        for done in STAGES[: STAGES.index(COMMANDS[stage][0])]:
             shutil.copytree(self.config.parent / "run" / done, out / done)
         return out
 
     def wrong_files(self, out: Path, stage: str) -> list[str]:
         """Final names whose content is not what an undisturbed run writes."""
         try:
-            have = snapshot(out, (stage,))
+            have = snapshot(out, COMMANDS[stage])
         except ValueError as error:
             return [f"{stage}: unreadable JSON: {error}"]
         return [name for name, content in have.items() if self.reference.get(name) != content]
@@ -155,7 +156,8 @@ def check_ended(target: Target, stage: str, out: Path, ended: Ended, figures: Fi
             figures.items_reused += int(line.split()[1])
     for name in target.wrong_files(out, stage) + target.left_over(out):
         figures.problems.append(f"{stage}: after resuming: {name}")
-    missing = {n for n in target.reference if n.startswith(stage + "/")} - snapshot(out).keys()
+    made = {name for name in target.reference if name.split("/")[0] in COMMANDS[stage]}
+    missing = made - snapshot(out).keys()
     figures.problems += [f"{stage}: after resuming: {name} is missing" for name in missing]
 
 
@@ -177,7 +179,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         target = Target.make(Path(folder))
         while total.kills < wanted and len(total.problems) < 20:
-            for stage in STAGES:
+            for stage in COMMANDS:
                 kills = min(KILLS_PER_RESUME, wanted - total.kills)
                 if kills > 0:
                     add(total, kill_and_resume(target, stage, kills, rng))

@@ -15,6 +15,8 @@ from gvpipe.core.types import Camera, Mount
 from tests.synthetic import Box, Scene, texture
 
 STAGES = ("match", "localize", "overlap", "slam", "mosaic", "reconstruct")
+COMMANDS: dict[str, tuple[str, ...]] = {stage: (stage,) for stage in STAGES} | {"run": STAGES}
+"""The stages that each command makes."""
 CAMERA = Camera(width=200, height=150, fx=170.0, fy=170.0, cx=99.5, cy=74.5)
 TILT_DEG, HEIGHT, RADIUS = 42.0, 0.6, 0.75
 HEADINGS = {"A": (0, 40, 80), "B": (100, 140, 180)}

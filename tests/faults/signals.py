@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from tests.faults.kills import Figures, Target, add, hit
-from tests.faults.rig import STAGES, start
+from tests.faults.rig import COMMANDS, start
 
 MOST_S = 2.0
 BOOT_S = 0.3
@@ -50,7 +50,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         target = Target.make(Path(folder))
         while total.kills < wanted and len(total.problems) < 20:
-            for stage in STAGES:
+            for stage in COMMANDS:
                 delay_s = rng.uniform(0.05, target.seconds[stage])
                 add(total, interrupt(target, stage, delay_s, rng))
             print(total, flush=True)  # noqa: T201
