@@ -19,7 +19,7 @@ INPUTS  := $(CONFIG)
 
 .DELETE_ON_ERROR:
 .SUFFIXES:
-.PHONY: help run all install dev test lint format bench docs faults fuzz fuzz-coverage audit samples clean distclean
+.PHONY: help run all install dev test lint format bench docs faults fuzz fuzz-coverage audit clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
