@@ -239,7 +239,7 @@ def run_stages(
     One that ends without a result (exit code 5) does not keep the others from running, unless
     they need it.
     """
-    names = list(COMMANDS) if stages is None else stages.split(",")
+    names = list(COMMANDS) if stages is None else [s.strip() for s in stages.split(",")]
     for name in names:
         if name not in COMMANDS:
             raise UsageError(f"--stages: {name!r} is none of {', '.join(COMMANDS)}")
