@@ -210,6 +210,16 @@ def test_gaps_in_a_chain_are_bridged() -> None:
     assert pairs == [("A/2.jpg", "A/3.jpg"), ("A/0.jpg", "A/2.jpg"), ("A/1.jpg", "A/3.jpg")]
 
 
+def test_maps_that_keep_the_same_links_confirm_each_other(patrol: Scene) -> None:
+    result = mapped(patrol)
+    more = replace(result, links=(*result.links, replace(result.links[0], kept=False)))
+    assert result.confirmed_by(more)
+    first = replace(result.links[0], kept=not result.links[0].kept)
+    assert not result.confirmed_by(replace(more, links=(first, *more.links[1:])))
+    split = tuple((image,) for component in result.components for image in component)
+    assert not result.confirmed_by(replace(more, components=split))
+
+
 def test_images_held_by_one_link_only_are_set_apart() -> None:
     links = [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d"), ("d", "e"), ("e", "f"), ("f", "d")]
     parts = without_bridges("abcdefg", links)

@@ -136,7 +136,8 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
         confirming = found(_unconfirmed(list(entries), links, result, tried))
         if confirming:
             both = adjusted([*links, *confirming])
-            if not _agree(result, both):  # else the map is better off without such distant pairs
+            # distant pairs that agree add noise, and no more than their word
+            if not result.confirmed_by(both):
                 links, result = grown([*links, *confirming], both)
     if settings.control and not any(ground.fixed for ground in result.ground):
         raise InputError("slam.control: no map shows two different points of it")
@@ -177,12 +178,6 @@ def _unconfirmed(
     parts = without_bridges(order, sorted(kept))
     pairs = gap_candidates(order, parts, tried, max_gap=MAX_STRIDE)
     return [(c.image_i, c.image_j) for c in pairs]
-
-
-def _agree(result: MapResult, more: MapResult) -> bool:
-    """Whether a map with more links keeps the same ones of the old, and joins nothing else."""
-    same = all(a.kept == b.kept for a, b in zip(result.links, more.links, strict=False))
-    return same and result.components == more.components
 
 
 def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:

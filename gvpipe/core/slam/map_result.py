@@ -102,6 +102,11 @@ class MapResult:
     closures: tuple[Closure, ...]
     ground: tuple[SeenGround, ...]
 
+    def confirmed_by(self, more: "MapResult") -> bool:
+        """Whether a map with more links after these keeps the same ones, and joins nothing else."""
+        same = all(a.kept == b.kept for a, b in zip(self.links, more.links, strict=False))
+        return same and self.components == more.components
+
 
 @dataclass(frozen=True)
 class Gathered:
