@@ -1,5 +1,6 @@
 """The program: the command line in a process of its own, watched over by a small one."""
 
+import gc
 import os
 import sys
 
@@ -11,7 +12,13 @@ def main() -> None:
     sys.exit(supervised(_command_line))
 
 
+GARBAGE_AFTER = 50_000
+"""New objects after which Python looks for garbage: after its usual 700 it looks hundreds of times
+while libraries load, a tenth of a short run."""
+
+
 def _command_line() -> int:
+    gc.set_threshold(GARBAGE_AFTER)
     # small matrices only: threads of their own would fight with gvpipe's workers for the cores
     for library in ("OPENBLAS", "MKL", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

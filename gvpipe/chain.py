@@ -2,6 +2,7 @@
 
 import importlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -11,6 +12,7 @@ from gvpipe.config import Config
 from gvpipe.configfile import section_sha256
 from gvpipe.dataset import Dataset, open_dataset
 from gvpipe.errors import InputError
+from gvpipe.featurestore import FeatureStore
 from gvpipe.names import escape
 from gvpipe.records import Body, Header, SkippedImage
 from gvpipe.report import log
@@ -123,6 +125,27 @@ def open_images(config: Config, jobs: int) -> Dataset:
     for skipped in dataset.skipped:
         log.warning("skipped %s: %s", skipped.image, skipped.reason)
     return dataset
+
+
+class Pictures:
+    """The images of one run and what was made of them, for all commands that the run does.
+
+    Parameters
+    ----------
+    config : Config
+        The loaded configuration.
+    jobs : int
+        Threads that decode.
+    """
+
+    def __init__(self, config: Config, jobs: int):
+        self._config, self._jobs = config, jobs
+        self.features = FeatureStore()
+
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The images, opened when they are first asked for; errors as of :func:`open_images`."""
+        return open_images(self._config, self._jobs)
 
 
 def unreadable(dataset: Dataset) -> tuple[SkippedImage, ...]:

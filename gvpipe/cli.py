@@ -4,6 +4,7 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,7 @@ from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_tools
 
 if TYPE_CHECKING:  # loaded late: the command line stays quick
+    from gvpipe.chain import Pictures
     from gvpipe.config import Config
     from gvpipe.report import Reporter
 
@@ -157,10 +159,30 @@ def _stage_command(name: str) -> Callable[..., None]:
         verbose: Verbose = False,
         log_json: LogJson = False,
     ) -> None:
-        prepared = _prepared(config, out, overrides, jobs, memory_limit, (quiet, verbose, log_json))
-        _do(name, *prepared, force=force, dry_run=dry_run)
+        says = _Says(quiet=quiet, verbose=verbose, log_json=log_json)
+        prepared = _prepared(config, out, overrides, jobs, memory_limit, says)
+        _do(name, prepared, force=force, dry_run=dry_run)
 
     return command
+
+
+@dataclass(frozen=True)
+class _Says:
+    """How much is said, and in which form."""
+
+    quiet: bool
+    verbose: bool
+    log_json: bool
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """What all commands of one run share."""
+
+    config: "Config"
+    reporter: "Reporter"
+    jobs: int
+    pictures: "Pictures"
 
 
 def _prepared(
@@ -169,14 +191,10 @@ def _prepared(
     overrides: list[str] | None,
     jobs: int | None,
     memory_limit: str | None,
-    says: tuple[bool, bool, bool],
-) -> "tuple[Config, Reporter, int]":
-    """Check what a command was given: its configuration, where it reports, how many jobs.
-
-    `says` is whether to be quiet, to be verbose and to log as JSON.
-    """
-    quiet, verbose, log_json = says
-    if quiet and verbose:
+    says: _Says,
+) -> _Prepared:
+    """Check what a command was given: its configuration, where it reports, how many jobs."""
+    if says.quiet and says.verbose:
         raise UsageError("--quiet and --verbose exclude each other")
     from gvpipe.memory import jobs_within, keep_within, parse_size
 
@@ -185,32 +203,28 @@ def _prepared(
         limit = parse_size(memory_limit)
         jobs = jobs_within(limit, jobs)
         keep_within(limit)
+    from gvpipe.chain import Pictures
     from gvpipe.configfile import load_config
     from gvpipe.report import Reporter
 
-    reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
-    return load_config(path, tuple(overrides or ()), out), reporter, jobs
+    reporter = Reporter(quiet=says.quiet, verbose=says.verbose, log_json=says.log_json)
+    config = load_config(path, tuple(overrides or ()), out)
+    return _Prepared(config, reporter, jobs, Pictures(config, jobs))
 
 
 def _do(
-    name: str,
-    config: "Config",
-    reporter: "Reporter",
-    jobs: int,
-    *,
-    force: bool,
-    dry_run: bool,
-    before: Sequence[str] = (),
+    name: str, prepared: _Prepared, *, force: bool, dry_run: bool, before: Sequence[str] = ()
 ) -> None:
     """Run one stage, or say what it would do once those before it have run."""
+    shared = prepared.config, prepared.reporter, prepared.pictures
     if dry_run:
         from gvpipe.plan import plan_stage
 
-        plan_stage(name, config, reporter, jobs=jobs, force=force, before=before)
+        plan_stage(name, *shared, jobs=prepared.jobs, force=force, before=before)
         return
     from gvpipe.runner import run_stage
 
-    run_stage(name, config, reporter, jobs=jobs, force=force)
+    run_stage(name, *shared, jobs=prepared.jobs, force=force)
 
 
 for _name, _help in COMMANDS.items():
@@ -243,12 +257,13 @@ def run_stages(
     for name in names:
         if name not in COMMANDS:
             raise UsageError(f"--stages: {name!r} is none of {', '.join(COMMANDS)}")
-    prepared = _prepared(config, out, overrides, jobs, memory_limit, (quiet, verbose, log_json))
+    says = _Says(quiet=quiet, verbose=verbose, log_json=log_json)
+    prepared = _prepared(config, out, overrides, jobs, memory_limit, says)
     chosen = [name for name in COMMANDS if name in names]
     missing: NoResultError | None = None
     for k, name in enumerate(chosen):
         try:
-            _do(name, *prepared, force=force, dry_run=dry_run, before=chosen[:k])
+            _do(name, prepared, force=force, dry_run=dry_run, before=chosen[:k])
         except NoResultError as error:
             missing = missing or error
         except InputError as error:

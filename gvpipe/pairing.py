@@ -12,6 +12,7 @@ from gvpipe.core.matching.features import Features, MatchOptions
 from gvpipe.core.matching.matchers import extract, match_views
 from gvpipe.core.types import PairMatch, Rejected
 from gvpipe.dataset import Dataset
+from gvpipe.featurestore import FeatureStore
 from gvpipe.parallel import Crashed, Workers
 
 
@@ -53,6 +54,7 @@ def match_pairs(
     seed: int,
     jobs: int,
     checkpoints: Checkpoints,
+    store: FeatureStore,
     on_step: Callable[[], object],
 ) -> Iterator[PairMatch | Rejected]:
     """Yield the verdict on each pair, in order.
@@ -71,6 +73,8 @@ def match_pairs(
         Worker processes.
     checkpoints : Checkpoints
         Verdicts of an earlier run; every new one is added.
+    store : FeatureStore
+        Features made before of the same pictures; new ones are added.
     on_step : callable
         Called once an image and once a pair.
     """
@@ -81,11 +85,16 @@ def match_pairs(
     images = list(dict.fromkeys(image for pair in pairs for image in pair))
     wanted = {image for pair in pairs if known[pair] is None for image in pair}
     with Workers(_Shared(dataset, options, seed), jobs) as workers:
-        features: dict[str, Features | Crashed[str]] = {}
-        extracted = workers.map(_extract, [image for image in images if image in wanted])
+        features: dict[str, Features | Crashed[str]] = {
+            image: kept for image in images if (kept := store.get(image, options)) is not None
+        }
+        new = [image for image in images if image in wanted and image not in features]
+        extracted = workers.map(_extract, new)
         for image in images:
-            if image in wanted:
-                features[image] = next(extracted)
+            if image in wanted and image not in features:
+                made = features[image] = next(extracted)
+                if not isinstance(made, Crashed):
+                    store.add(image, options, made)
             on_step()
         usable = [
             _Task(i, j, fi, fj)

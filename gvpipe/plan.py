@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator
 from math import prod
 
-from gvpipe.chain import Chain, open_images, stage_module
+from gvpipe.chain import Chain, Pictures, stage_module
 from gvpipe.config import Config
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
@@ -32,6 +32,7 @@ def plan_stage(
     name: str,
     config: Config,
     reporter: Reporter,
+    pictures: Pictures,
     *,
     jobs: int,
     force: bool,
@@ -47,6 +48,8 @@ def plan_stage(
         The loaded configuration.
     reporter : Reporter
         Where it is said.
+    pictures : Pictures
+        Its images, shared by the commands of one run.
     jobs : int
         Worker processes or threads that would run.
     force : bool
@@ -59,7 +62,7 @@ def plan_stage(
     InputError
         If there is no usable picture, or a listed pair names one that is not there.
     """
-    dataset = open_images(config, jobs)
+    dataset = pictures.dataset
     chain = Chain(config, dataset)
     rows = [("images", f"{len(dataset.entries)} used, {len(dataset.skipped)} skipped")]
     ready, renewed = True, False

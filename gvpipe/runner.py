@@ -6,7 +6,7 @@ from typing import Any
 
 from gvpipe import __version__
 from gvpipe.artefacts import Artefact, publish, read_artefact, schema_of, staging
-from gvpipe.chain import Chain, Expectation, open_images, scale_source, stage_module
+from gvpipe.chain import Chain, Expectation, Pictures, scale_source, stage_module
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
 from gvpipe.errors import InputError, NoResultError
@@ -17,7 +17,13 @@ from gvpipe.stages.contract import Context
 
 
 def run_stage(
-    name: str, config: Config, reporter: Reporter, *, jobs: int, force: bool = False
+    name: str,
+    config: Config,
+    reporter: Reporter,
+    pictures: Pictures,
+    *,
+    jobs: int,
+    force: bool = False,
 ) -> None:
     """Run one command of the chain.
 
@@ -29,6 +35,8 @@ def run_stage(
         The loaded configuration.
     reporter : Reporter
         Progress and results.
+    pictures : Pictures
+        Its images, shared by the commands of one run.
     jobs : int
         Worker processes or threads.
     force : bool
@@ -44,7 +52,7 @@ def run_stage(
         out.mkdir(parents=True, exist_ok=True)
     with locked(out, name):
         started = time.monotonic()
-        dataset = open_images(config, jobs)
+        dataset = pictures.dataset
         chain = Chain(config, dataset)
         upstream = chain.needed(name)
         expected = chain.expectation(name)
@@ -60,7 +68,15 @@ def run_stage(
             return _conclude(name, fresh.header.reason)
         if force:
             checkpoints.sweep()
-        context = Context(config, dataset, upstream, jobs, reporter.progress, checkpoints)
+        context = Context(
+            config=config,
+            dataset=dataset,
+            upstream=upstream,
+            jobs=jobs,
+            progress=reporter.progress,
+            checkpoints=checkpoints,
+            features=pictures.features,
+        )
         stage = stage_module(name)
         outcome = stage.run(context)
         log.debug("computed in %.1f s", time.monotonic() - started)

@@ -22,7 +22,7 @@ LAYERS: list[set[str]] = [
         "gvpipe.pixels",
     },
     {"gvpipe.configfile", "gvpipe.artefacts", "gvpipe.checkpoint"},
-    {"gvpipe.dataset"},
+    {"gvpipe.dataset", "gvpipe.featurestore"},
     {"gvpipe.pairing"},
     {"gvpipe.stages", "gvpipe.report"},
     {"gvpipe.chain"},

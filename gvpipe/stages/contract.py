@@ -12,6 +12,7 @@ from gvpipe.checkpoint import Checkpoints
 from gvpipe.config import Config
 from gvpipe.core.types import Pose, PosedView
 from gvpipe.dataset import Dataset
+from gvpipe.featurestore import FeatureStore
 from gvpipe.records import Body, SlamBody
 
 B = TypeVar("B", bound=Body)
@@ -43,6 +44,8 @@ class Context:
         ``progress(what, total)`` gives a context manager with a ticker.
     checkpoints : Checkpoints
         Finished items of an interrupted run.
+    features : FeatureStore
+        What other stages of this run made of the same pictures.
     """
 
     config: Config
@@ -51,6 +54,7 @@ class Context:
     jobs: int
     progress: Callable[[str, int], AbstractContextManager[Ticker]]
     checkpoints: Checkpoints
+    features: FeatureStore
 
     def artefact(self, body: type[B]) -> Artefact[B]:
         """Return the artefact of the stage that writes `body`."""

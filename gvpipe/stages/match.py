@@ -72,6 +72,7 @@ def run(context: Context) -> Outcome[MatchBody, MatchPoints]:
                 seed=context.config.seed,
                 jobs=context.jobs,
                 checkpoints=context.checkpoints,
+                store=context.features,
                 on_step=ticker.advance,
             )
         )

@@ -207,6 +207,7 @@ def _match(
         seed=config.seed,
         jobs=context.jobs,
         checkpoints=context.checkpoints,
+        store=context.features,
         on_step=on_step,
     )
     return [_sharing(p, verdict, looks) for p, verdict in zip(pairs, verdicts, strict=True)]

@@ -192,6 +192,7 @@ def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
             seed=context.config.seed,
             jobs=context.jobs,
             checkpoints=context.checkpoints,
+            store=context.features,
             on_step=ticker.advance,
         )
         for pair, verdict in zip(pairs, verdicts, strict=True):

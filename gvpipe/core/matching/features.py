@@ -103,6 +103,12 @@ class Features:
     angle: Float = field(default_factory=lambda: np.empty(0))
     size: Float = field(default_factory=lambda: np.empty(0))
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that the arrays take."""
+        arrays = self.pixels, self.ground, self.descriptors, self.angle, self.size
+        return sum(array.nbytes for array in arrays)
+
 
 def overhead_scale(camera: Camera, mount: Mount) -> float:
     """Scale for a camera's overhead view, pixels per metre.
