@@ -12,16 +12,13 @@ def main() -> None:
     sys.exit(supervised(_command_line))
 
 
-GARBAGE_AFTER = 50_000
-"""New objects after which Python looks for garbage: after its usual 700 it looks hundreds of times
-while libraries load, a tenth of a short run."""
-
-
 def _command_line() -> int:
-    gc.set_threshold(GARBAGE_AFTER)
     # small matrices only: threads of their own would fight with gvpipe's workers for the cores
     for library in ("OPENBLAS", "MKL", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    from gvpipe.parallel import GARBAGE_AFTER
+
+    gc.set_threshold(GARBAGE_AFTER)
     from gvpipe.cli import run  # late: a signal during this import is handled already
 
     return run()

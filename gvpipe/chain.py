@@ -4,7 +4,7 @@ import importlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, Self, cast
 
 from gvpipe import __version__
 from gvpipe.artefacts import Artefact, read_artefact
@@ -14,6 +14,7 @@ from gvpipe.dataset import Dataset, open_dataset
 from gvpipe.errors import InputError
 from gvpipe.featurestore import FeatureStore
 from gvpipe.names import escape
+from gvpipe.parallel import Workers
 from gvpipe.records import Body, Header, SkippedImage
 from gvpipe.report import log
 from gvpipe.stages.contract import Stage
@@ -127,25 +128,37 @@ def open_images(config: Config, jobs: int) -> Dataset:
     return dataset
 
 
-class Pictures:
-    """The images of one run and what was made of them, for all commands that the run does.
+class Session:
+    """What all commands of one run share: the images, and what was made of them.
 
     Parameters
     ----------
     config : Config
         The loaded configuration.
     jobs : int
-        Threads that decode.
+        Worker processes or threads.
     """
 
     def __init__(self, config: Config, jobs: int):
-        self._config, self._jobs = config, jobs
+        self.config, self.jobs = config, jobs
         self.features = FeatureStore()
 
     @cached_property
     def dataset(self) -> Dataset:
         """The images, opened when they are first asked for; errors as of :func:`open_images`."""
-        return open_images(self._config, self._jobs)
+        return open_images(self.config, self.jobs)
+
+    @cached_property
+    def workers(self) -> Workers[Dataset]:
+        """Processes that have the images."""
+        return Workers(self.dataset, self.jobs)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if "workers" in self.__dict__:
+            self.workers.stop()
 
 
 def unreadable(dataset: Dataset) -> tuple[SkippedImage, ...]:

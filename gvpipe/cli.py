@@ -24,8 +24,7 @@ from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_tools
 
 if TYPE_CHECKING:  # loaded late: the command line stays quick
-    from gvpipe.chain import Pictures
-    from gvpipe.config import Config
+    from gvpipe.chain import Session
     from gvpipe.report import Reporter
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
@@ -160,8 +159,9 @@ def _stage_command(name: str) -> Callable[..., None]:
         log_json: LogJson = False,
     ) -> None:
         says = _Says(quiet=quiet, verbose=verbose, log_json=log_json)
-        prepared = _prepared(config, out, overrides, jobs, memory_limit, says)
-        _do(name, prepared, force=force, dry_run=dry_run)
+        session, reporter = _prepared(config, out, overrides, jobs, memory_limit, says)
+        with session:
+            _do(name, session, reporter, force=force, dry_run=dry_run)
 
     return command
 
@@ -175,16 +175,6 @@ class _Says:
     log_json: bool
 
 
-@dataclass(frozen=True)
-class _Prepared:
-    """What all commands of one run share."""
-
-    config: "Config"
-    reporter: "Reporter"
-    jobs: int
-    pictures: "Pictures"
-
-
 def _prepared(
     path: Path,
     out: Path | None,
@@ -192,8 +182,8 @@ def _prepared(
     jobs: int | None,
     memory_limit: str | None,
     says: _Says,
-) -> _Prepared:
-    """Check what a command was given: its configuration, where it reports, how many jobs."""
+) -> "tuple[Session, Reporter]":
+    """Check what a command was given: its configuration and jobs, where it reports."""
     if says.quiet and says.verbose:
         raise UsageError("--quiet and --verbose exclude each other")
     from gvpipe.memory import jobs_within, keep_within, parse_size
@@ -203,28 +193,32 @@ def _prepared(
         limit = parse_size(memory_limit)
         jobs = jobs_within(limit, jobs)
         keep_within(limit)
-    from gvpipe.chain import Pictures
+    from gvpipe.chain import Session
     from gvpipe.configfile import load_config
     from gvpipe.report import Reporter
 
     reporter = Reporter(quiet=says.quiet, verbose=says.verbose, log_json=says.log_json)
-    config = load_config(path, tuple(overrides or ()), out)
-    return _Prepared(config, reporter, jobs, Pictures(config, jobs))
+    return Session(load_config(path, tuple(overrides or ()), out), jobs), reporter
 
 
 def _do(
-    name: str, prepared: _Prepared, *, force: bool, dry_run: bool, before: Sequence[str] = ()
+    name: str,
+    session: "Session",
+    reporter: "Reporter",
+    *,
+    force: bool,
+    dry_run: bool,
+    before: Sequence[str] = (),
 ) -> None:
     """Run one stage, or say what it would do once those before it have run."""
-    shared = prepared.config, prepared.reporter, prepared.pictures
     if dry_run:
         from gvpipe.plan import plan_stage
 
-        plan_stage(name, *shared, jobs=prepared.jobs, force=force, before=before)
+        plan_stage(name, session, reporter, force=force, before=before)
         return
     from gvpipe.runner import run_stage
 
-    run_stage(name, *shared, jobs=prepared.jobs, force=force)
+    run_stage(name, session, reporter, force=force)
 
 
 for _name, _help in COMMANDS.items():
@@ -258,19 +252,20 @@ def run_stages(
         if name not in COMMANDS:
             raise UsageError(f"--stages: {name!r} is none of {', '.join(COMMANDS)}")
     says = _Says(quiet=quiet, verbose=verbose, log_json=log_json)
-    prepared = _prepared(config, out, overrides, jobs, memory_limit, says)
+    session, reporter = _prepared(config, out, overrides, jobs, memory_limit, says)
     chosen = [name for name in COMMANDS if name in names]
     missing: NoResultError | None = None
-    for k, name in enumerate(chosen):
-        try:
-            _do(name, prepared, force=force, dry_run=dry_run, before=chosen[:k])
-        except NoResultError as error:
-            missing = missing or error
-        except InputError as error:
-            if missing is None:
-                raise
-            # most likely a consequence, and the cause is what helps
-            raise NoResultError(f"{missing}\n{name}: {error}") from error
+    with session:
+        for k, name in enumerate(chosen):
+            try:
+                _do(name, session, reporter, force=force, dry_run=dry_run, before=chosen[:k])
+            except NoResultError as error:
+                missing = missing or error
+            except InputError as error:
+                if missing is None:
+                    raise
+                # most likely a consequence, and the cause is what helps
+                raise NoResultError(f"{missing}\n{name}: {error}") from error
     if missing:
         raise missing
 

@@ -17,22 +17,15 @@ from gvpipe.parallel import Crashed, Workers
 
 
 @dataclass(frozen=True)
-class _Shared:
-    """What every worker needs."""
-
-    dataset: Dataset
-    options: MatchOptions
-    seed: int
-
-
-@dataclass(frozen=True)
-class _Task:
-    """One pair with its features."""
+class _Pair:
+    """One pair to be matched, with its features."""
 
     image_i: str
     image_j: str
     features_i: Features
     features_j: Features
+    options: MatchOptions
+    seed: int
 
 
 def pair_generator(seed: int, image_i: str, image_j: str) -> np.random.Generator:
@@ -52,7 +45,7 @@ def match_pairs(
     options: MatchOptions,
     *,
     seed: int,
-    jobs: int,
+    workers: Workers[Dataset],
     checkpoints: Checkpoints,
     store: FeatureStore,
     on_step: Callable[[], object],
@@ -69,8 +62,8 @@ def match_pairs(
         Thresholds and method.
     seed : int
         With the two ids it fixes all random choices of a pair.
-    jobs : int
-        Worker processes.
+    workers : Workers
+        Processes that have the same dataset.
     checkpoints : Checkpoints
         Verdicts of an earlier run; every new one is added.
     store : FeatureStore
@@ -84,41 +77,40 @@ def match_pairs(
     }
     images = list(dict.fromkeys(image for pair in pairs for image in pair))
     wanted = {image for pair in pairs if known[pair] is None for image in pair}
-    with Workers(_Shared(dataset, options, seed), jobs) as workers:
-        features: dict[str, Features | Crashed[str]] = {
-            image: kept for image in images if (kept := store.get(image, options)) is not None
-        }
-        new = [image for image in images if image in wanted and image not in features]
-        extracted = workers.map(_extract, new)
-        for image in images:
-            if image in wanted and image not in features:
-                made = features[image] = next(extracted)
-                if not isinstance(made, Crashed):
-                    store.add(image, options, made)
-            on_step()
-        usable = [
-            _Task(i, j, fi, fj)
-            for i, j in pairs
-            if known[i, j] is None
-            and not isinstance(fi := features[i], Crashed)
-            and not isinstance(fj := features[j], Crashed)
-        ]
-        verdicts = workers.map(_match, usable)
-        for pair in pairs:
-            on_step()
-            if (verdict := known[pair]) is not None:
-                yield verdict
-                continue
-            crashed = [image for image in pair if isinstance(features[image], Crashed)]
-            if crashed:
-                yield Rejected(f"the worker process died twice on {crashed[0]}")
-                continue
-            result = next(verdicts)
-            if isinstance(result, Crashed):
-                yield Rejected("the worker process died twice on this pair")
-                continue
-            checkpoints.save(keys[pair], result)
-            yield result
+    features: dict[str, Features | Crashed[tuple[str, MatchOptions]]] = {
+        image: kept for image in images if (kept := store.get(image, options)) is not None
+    }
+    new = [image for image in images if image in wanted and image not in features]
+    extracted = workers.map(_extract, [(image, options) for image in new])
+    for image in images:
+        if image in wanted and image not in features:
+            made = features[image] = next(extracted)
+            if not isinstance(made, Crashed):
+                store.add(image, options, made)
+        on_step()
+    usable = [
+        _Pair(i, j, fi, fj, options, seed)
+        for i, j in pairs
+        if known[i, j] is None
+        and not isinstance(fi := features[i], Crashed)
+        and not isinstance(fj := features[j], Crashed)
+    ]
+    verdicts = workers.map(_match, usable)
+    for pair in pairs:
+        on_step()
+        if (verdict := known[pair]) is not None:
+            yield verdict
+            continue
+        crashed = [image for image in pair if isinstance(features[image], Crashed)]
+        if crashed:
+            yield Rejected(f"the worker process died twice on {crashed[0]}")
+            continue
+        result = next(verdicts)
+        if isinstance(result, Crashed):
+            yield Rejected("the worker process died twice on this pair")
+            continue
+        checkpoints.save(keys[pair], result)
+        yield result
 
 
 def _key(
@@ -137,16 +129,17 @@ def _key(
     return checkpoints.key("pair", views, options, seed)
 
 
-def _extract(shared: _Shared, image: str) -> Features:
-    return extract(shared.dataset.view(image), shared.options)
+def _extract(dataset: Dataset, image: tuple[str, MatchOptions]) -> Features:
+    name, options = image
+    return extract(dataset.view(name), options)
 
 
-def _match(shared: _Shared, task: _Task) -> PairMatch | Rejected:
+def _match(dataset: Dataset, pair: _Pair) -> PairMatch | Rejected:
     return match_views(
-        shared.dataset.view(task.image_i),
-        shared.dataset.view(task.image_j),
-        task.features_i,
-        task.features_j,
-        shared.options,
-        pair_generator(shared.seed, task.image_i, task.image_j),
+        dataset.view(pair.image_i),
+        dataset.view(pair.image_j),
+        pair.features_i,
+        pair.features_j,
+        pair.options,
+        pair_generator(pair.seed, pair.image_i, pair.image_j),
     )

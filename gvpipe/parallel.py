@@ -1,5 +1,6 @@
 """An ordered map over worker processes whose results do not depend on their number."""
 
+import gc
 import os
 import signal
 import threading
@@ -17,6 +18,10 @@ from typing import Any, Generic, Self, TypeVar
 S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R")
+
+GARBAGE_AFTER = 50_000
+"""New objects after which Python looks for garbage: after its usual 700 it looks hundreds of times
+while libraries load, a tenth of a short run."""
 
 IN_FLIGHT_PER_WORKER = 4
 """Items handed out ahead of the workers: keeps them busy, bounds what waits in memory."""
@@ -36,6 +41,7 @@ _shared: Any = None
 def _start_worker(shared: bytes) -> None:
     """Prepare a worker: one thread for OpenCV, interrupts left to the parent."""
     global _shared
+    gc.set_threshold(GARBAGE_AFTER)
     threading.Thread(target=_die_with_parent, daemon=True).start()
     _shared = ForkingPickler.loads(shared)  # imports what takes seconds on a busy machine
     import cv2
@@ -69,7 +75,7 @@ def _call(function: Callable[[Any, T], R], item: T) -> R:
 
 
 class Workers(Generic[S]):
-    """Worker processes that share one read-only object.
+    """Worker processes that share one read-only object; they start when they are first needed.
 
     Parameters
     ----------
@@ -92,7 +98,7 @@ class Workers(Generic[S]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._stop()
+        self.stop()
 
     def map(self, function: Callable[[S, T], R], items: Sequence[T]) -> Iterator[R | Crashed[T]]:
         """Yield ``function(shared, item)`` for each item, in the items' order.
@@ -114,6 +120,18 @@ class Workers(Generic[S]):
                 yield self._alone(function, items[done])
                 done += 1
 
+    def stop(self) -> None:
+        """End the processes at once, for good or until more is mapped; none may linger."""
+        pool, self._pool = self._pool, None
+        if pool is None:
+            return
+        processes = list((pool._processes or {}).values())
+        for process in processes:
+            process.kill()  # workers hold nothing that would need their cleaning up
+        pool.shutdown(wait=True, cancel_futures=True)  # or its thread races the interpreter's end
+        for process in processes:
+            process.join()
+
     def _until_a_worker_dies(
         self, function: Callable[[S, T], R], items: Sequence[T]
     ) -> Iterator[R]:
@@ -129,7 +147,7 @@ class Workers(Generic[S]):
             while waiting:
                 yield waiting.popleft().result()
         except BrokenProcessPool:
-            self._stop()
+            self.stop()
 
     def _alone(self, function: Callable[[S, T], R], item: T) -> R | Crashed[T]:
         """Run one item in a process of its own."""
@@ -141,7 +159,7 @@ class Workers(Generic[S]):
         except BrokenProcessPool:
             return Crashed(item)
         finally:
-            self._stop()
+            self.stop()
 
     def _start(self, workers: int) -> ProcessPoolExecutor:
         # a fresh interpreter each: forking a process that has threads is not safe
@@ -151,15 +169,3 @@ class Workers(Generic[S]):
             initializer=_start_worker,
             initargs=(bytes(ForkingPickler.dumps(self._shared)),),
         )
-
-    def _stop(self) -> None:
-        """End the pool at once; after an interruption no worker may linger."""
-        pool, self._pool = self._pool, None
-        if pool is None:
-            return
-        processes = list((pool._processes or {}).values())
-        for process in processes:
-            process.kill()  # workers hold nothing that would need their cleaning up
-        pool.shutdown(wait=True, cancel_futures=True)  # or its thread races the interpreter's end
-        for process in processes:
-            process.join()

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator
 from math import prod
 
-from gvpipe.chain import Chain, Pictures, stage_module
+from gvpipe.chain import Chain, Session, stage_module
 from gvpipe.config import Config
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
@@ -30,11 +30,9 @@ BYTES_PER_VOXEL = 42
 
 def plan_stage(
     name: str,
-    config: Config,
+    session: Session,
     reporter: Reporter,
-    pictures: Pictures,
     *,
-    jobs: int,
     force: bool,
     before: Collection[str] = (),
 ) -> None:
@@ -44,14 +42,10 @@ def plan_stage(
     ----------
     name : str
         One of :data:`gvpipe.chain.STAGES`.
-    config : Config
-        The loaded configuration.
+    session : Session
+        Configuration and images, shared by the commands of one run.
     reporter : Reporter
         Where it is said.
-    pictures : Pictures
-        Its images, shared by the commands of one run.
-    jobs : int
-        Worker processes or threads that would run.
     force : bool
         Whether it would run even if its artefact is fresh.
     before : collection of str
@@ -62,7 +56,7 @@ def plan_stage(
     InputError
         If there is no usable picture, or a listed pair names one that is not there.
     """
-    dataset = pictures.dataset
+    config, dataset, jobs = session.config, session.dataset, session.jobs
     chain = Chain(config, dataset)
     rows = [("images", f"{len(dataset.entries)} used, {len(dataset.skipped)} skipped")]
     ready, renewed = True, False

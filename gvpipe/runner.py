@@ -6,9 +6,8 @@ from typing import Any
 
 from gvpipe import __version__
 from gvpipe.artefacts import Artefact, publish, read_artefact, schema_of, staging
-from gvpipe.chain import Chain, Expectation, Pictures, scale_source, stage_module
+from gvpipe.chain import Chain, Expectation, Session, scale_source, stage_module
 from gvpipe.checkpoint import Checkpoints
-from gvpipe.config import Config
 from gvpipe.errors import InputError, NoResultError
 from gvpipe.output import locked, writing_to
 from gvpipe.records import Header
@@ -18,11 +17,9 @@ from gvpipe.stages.contract import Context
 
 def run_stage(
     name: str,
-    config: Config,
+    session: Session,
     reporter: Reporter,
-    pictures: Pictures,
     *,
-    jobs: int,
     force: bool = False,
 ) -> None:
     """Run one command of the chain.
@@ -31,14 +28,10 @@ def run_stage(
     ----------
     name : str
         One of :data:`gvpipe.chain.STAGES`.
-    config : Config
-        The loaded configuration.
+    session : Session
+        Configuration and images, shared by the commands of one run.
     reporter : Reporter
         Progress and results.
-    pictures : Pictures
-        Its images, shared by the commands of one run.
-    jobs : int
-        Worker processes or threads.
     force : bool
         Run even if the artefact is fresh.
 
@@ -47,12 +40,13 @@ def run_stage(
     InputError, NoResultError, OutputError, ConfigError
         See :mod:`gvpipe.errors`.
     """
+    config = session.config
     out = Path(config.output)
     with writing_to(out):
         out.mkdir(parents=True, exist_ok=True)
     with locked(out, name):
         started = time.monotonic()
-        dataset = pictures.dataset
+        dataset = session.dataset
         chain = Chain(config, dataset)
         upstream = chain.needed(name)
         expected = chain.expectation(name)
@@ -72,10 +66,11 @@ def run_stage(
             config=config,
             dataset=dataset,
             upstream=upstream,
-            jobs=jobs,
+            jobs=session.jobs,
+            workers=session.workers,
             progress=reporter.progress,
             checkpoints=checkpoints,
-            features=pictures.features,
+            features=session.features,
         )
         stage = stage_module(name)
         outcome = stage.run(context)

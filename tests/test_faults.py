@@ -115,7 +115,8 @@ def test_what_kills_its_worker_twice_is_recorded(
 
     def deadly(self: Workers[Any], function: Any, items: Sequence[Any]) -> Iterator[Any]:
         for item in items:
-            dies = item == "B/2.png" or getattr(item, "image_j", "") == "A/1.png"
+            image = item[0] if isinstance(item, tuple) else item
+            dies = image == "B/2.png" or getattr(item, "image_j", "") == "A/1.png"
             yield Crashed(item) if dies else next(undisturbed(self, function, [item]))
 
     monkeypatch.setattr(Workers, "map", deadly)

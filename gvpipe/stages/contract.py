@@ -13,6 +13,7 @@ from gvpipe.config import Config
 from gvpipe.core.types import Pose, PosedView
 from gvpipe.dataset import Dataset
 from gvpipe.featurestore import FeatureStore
+from gvpipe.parallel import Workers
 from gvpipe.records import Body, SlamBody
 
 B = TypeVar("B", bound=Body)
@@ -39,7 +40,9 @@ class Context:
     upstream : mapping
         Fresh artefacts of the stages it needs, by name.
     jobs : int
-        Worker processes or threads it may use; results do not depend on it.
+        Threads it may use; results do not depend on it.
+    workers : Workers
+        As many processes, with the dataset; a stage that does without them may stop them.
     progress : callable
         ``progress(what, total)`` gives a context manager with a ticker.
     checkpoints : Checkpoints
@@ -52,6 +55,7 @@ class Context:
     dataset: Dataset
     upstream: Mapping[str, Artefact[Any]]
     jobs: int
+    workers: Workers[Dataset]
     progress: Callable[[str, int], AbstractContextManager[Ticker]]
     checkpoints: Checkpoints
     features: FeatureStore

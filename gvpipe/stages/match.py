@@ -70,7 +70,7 @@ def run(context: Context) -> Outcome[MatchBody, MatchPoints]:
                 pairs,
                 options_from(context.config),
                 seed=context.config.seed,
-                jobs=context.jobs,
+                workers=context.workers,
                 checkpoints=context.checkpoints,
                 store=context.features,
                 on_step=ticker.advance,

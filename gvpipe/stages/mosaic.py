@@ -45,6 +45,7 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 
 def run(context: Context) -> Outcome[MosaicBody, Maps]:
     """Survey the pictures of every component."""
+    context.workers.stop()  # threads do it; memory is what is short
     settings = context.config.mosaic
     slam = context.artefact(SlamBody)
     rows: list[MosaicPart] = []

@@ -25,7 +25,7 @@ from gvpipe.dataset import Dataset
 from gvpipe.formats.plots import curves_svg, heat_map
 from gvpipe.formats.raster import png_bytes
 from gvpipe.pairing import match_pairs, options_from
-from gvpipe.parallel import Crashed, Workers
+from gvpipe.parallel import Crashed
 from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow, UnregisteredRow
 from gvpipe.stages.contract import Context, Outcome
 
@@ -146,11 +146,8 @@ def _describe(context: Context) -> tuple[dict[str, _Look], tuple[UnregisteredRow
     images = [entry.image_id for entry in context.dataset.entries]
     looks: dict[str, _Look] = {}
     left_out = []
-    with (
-        context.progress("describe", len(images)) as ticker,
-        Workers(context.dataset, context.jobs) as workers,
-    ):
-        for image, look in zip(images, workers.map(_look, images), strict=True):
+    with context.progress("describe", len(images)) as ticker:
+        for image, look in zip(images, context.workers.map(_look, images), strict=True):
             if isinstance(look, Crashed):
                 left_out.append(UnregisteredRow(image=image, reason=DIED_TWICE))
             else:
@@ -205,7 +202,7 @@ def _match(
         pairs,
         options_from(config),
         seed=config.seed,
-        jobs=context.jobs,
+        workers=context.workers,
         checkpoints=context.checkpoints,
         store=context.features,
         on_step=on_step,

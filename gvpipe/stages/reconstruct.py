@@ -40,6 +40,7 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 
 def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     """Find where obstacles stand, then their surfaces."""
+    context.workers.stop()  # threads do it; memory is what is short
     settings = context.config.reconstruct
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()

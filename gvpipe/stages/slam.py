@@ -190,7 +190,7 @@ def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
             pairs,
             options_from(context.config),
             seed=context.config.seed,
-            jobs=context.jobs,
+            workers=context.workers,
             checkpoints=context.checkpoints,
             store=context.features,
             on_step=ticker.advance,

@@ -116,7 +116,7 @@ def quaternions(poses: Sequence[Pose]) -> Float:
 
 
 def _quaternions(rotation: Float) -> Float:
-    """Unit quaternions (N, 4) of rotations (N, 3, 3); the last number, w, is not negative."""
+    """Find the unit quaternions (N, 4) of rotations (N, 3, 3); the last, w, is not negative."""
     r = rotation.transpose(1, 2, 0)
     square = np.empty((4, 4, len(rotation)))  # 4 q q^T: each of its rows is q times a number
     for k, sign in enumerate(np.array([[1, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1]])):
