@@ -5,12 +5,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 
 from gvpipe.core.geometry.homography import transfer_errors
 from gvpipe.core.matching.features import MatchOptions
 from gvpipe.core.matching.matchers import EXTRACTORS, MATCHERS, extract, match_views
+from gvpipe.core.matching.rivals import distinctness
 from gvpipe.core.types import Camera, Float, PairMatch, Pose, Rejected, View
 from tests.synthetic import Box, Scene, common_ground, texture, tiles, true_homography, view_at
 
@@ -188,3 +190,27 @@ def test_features_are_small_and_travel_between_processes(features: str) -> None:
     stored = pickle.dumps(extract(view, MatchOptions(features=features)))
     assert len(stored) < 2_000_000
     assert len(pickle.loads(stored).pixels) > 50
+
+
+def test_default_tells_tiles_apart_by_stains() -> None:
+    # the same tiles as above: only stains, fainter than their print, say where one is
+    rng = np.random.default_rng(5)
+    ground = tiles(rng).astype(np.float64)
+    size = ground.shape[0]
+    stains = cv2.resize(rng.normal(0.0, 30.0, (size // 16, size // 16)), (size, size))
+    scene = Scene(np.clip(ground + stains[..., None], 0, 255).astype(np.uint8))
+    a, b = view_at(scene, 0, 0, 0, 40), view_at(scene, 0.15, 0.1, 10, 40)
+    found = match(a, b, "sift")
+    assert isinstance(found, PairMatch)
+    assert mean_error(found, a, b) < 0.3
+    apart = match(a, view_at(scene, -2.0, 1.6, 0, 40), "sift")
+    assert isinstance(apart, Rejected)
+
+
+def test_distinctness_is_zero_by_chance_and_one_where_all_patches_tell() -> None:
+    rng = np.random.default_rng(6)
+    alike = rng.uniform(0.2, 0.9, (4, 4000))
+    assert abs(distinctness(alike[0], alike[1:])) < 0.05
+    assert distinctness(np.full(50, 0.95), np.full((3, 50), 0.8)) == pytest.approx(1.0)
+    assert distinctness(np.full(50, 0.95), np.full((3, 50), 0.94)) < 0.0  # optics do as much
+    assert distinctness(np.full(50, -2.0), np.full((3, 50), 0.8)) == 0.0

@@ -109,6 +109,45 @@ def _whitening(jacobian: Float, covariance: Float, floor_px: float) -> Float:
     return np.linalg.inv(np.linalg.cholesky(in_pixels))
 
 
+def correlations(
+    geometry: TwoView, pyramid_i: Pyramid, pyramid_j: Pyramid, points_i: Float, spread: float
+) -> Float:
+    """How alike patches around given pixels look under a geometry.
+
+    Parameters
+    ----------
+    geometry : TwoView
+        Refined.
+    pyramid_i, pyramid_j : tuple of (h, w) uint8
+        From :func:`grey_pyramid`.
+    points_i : (N, 2) float64
+        Patch centres, pixels of i.
+    spread : float
+        Sample distance, in pixels of the coarser picture.
+
+    Returns
+    -------
+    correlation : (N,) float64
+        As of :func:`gvpipe.core.kernels.patches.align_patches`; below zero: not aligned.
+    """
+    _, _, (_, correlation, _) = _aligned_in_j(geometry, pyramid_i, pyramid_j, points_i, spread)
+    return correlation
+
+
+def _aligned_in_j(
+    geometry: TwoView, pyramid_i: Pyramid, pyramid_j: Pyramid, points_i: Float, spread: float
+) -> tuple[Float, Float, tuple[Float, Float, Float]]:
+    """Pixels of j from ground of i, patch centres on that ground, and how they align in j."""
+    from_i = pixel_from_ground(geometry.camera_i, geometry.mount_i)
+    from_j = pixel_from_ground(geometry.camera_j, geometry.mount_j)
+    from_j = from_j @ geometry.ground_j_from_ground_i
+    ground, _ = ground_points(points_i, geometry.camera_i, geometry.mount_i)
+    found = align_patches(
+        pyramid_i, pyramid_j, from_i, from_j, ground, spread, _MAX_SHIFT, _ITERATIONS
+    )
+    return from_j, ground, found
+
+
 def align(
     geometry: TwoView,
     expected: TwoView,
@@ -145,12 +184,8 @@ def align(
     for spread in coarseness:
         result: Aligned | None = None
         points_i = points_i[_shared(points_i, geometry, max_range)]
-        from_i = pixel_from_ground(geometry.camera_i, geometry.mount_i)
-        from_j = pixel_from_ground(geometry.camera_j, geometry.mount_j)
-        from_j = from_j @ geometry.ground_j_from_ground_i
-        ground, _ = ground_points(points_i, geometry.camera_i, geometry.mount_i)
-        shift, correlation, covariance = align_patches(
-            pyramid_i, pyramid_j, from_i, from_j, ground, spread, _MAX_SHIFT, _ITERATIONS
+        from_j, ground, (shift, correlation, covariance) = _aligned_in_j(
+            geometry, pyramid_i, pyramid_j, points_i, spread
         )
         good = correlation > _MIN_CORRELATION
         if good.sum() < _FEWEST:

@@ -13,6 +13,7 @@ from gvpipe.core.geometry.ground import (
 )
 from gvpipe.core.geometry.homography import transfer_errors
 from gvpipe.core.geometry.twoview import TwoView
+from gvpipe.core.kernels.patches import BLANK
 from gvpipe.core.matching.hypotheses import Matches
 from gvpipe.core.types import Float, View
 
@@ -29,6 +30,10 @@ _REPEAT_LEAST = 7  # pixels: nearer shifts are the pattern's own smoothness
 _REPEAT_OVERLAP = 0.3  # least share of the view that must overlap itself
 _REPEAT_CORRELATION = 0.35
 _REPEATS = 3
+
+_OPTICS = 0.02
+"""Correlation that two pictures of one ground lose because they resolve it differently: a shift
+that happens to bring places of like resolution together looks better by as much."""
 
 
 def plane_at(geometry: TwoView, share: float) -> TwoView:
@@ -144,3 +149,29 @@ def shifted(geometry: TwoView, shift: Float) -> TwoView:
     """Geometry that takes the ground of i for what lies `shift` metres from it."""
     x, y = geometry.ground_j_from_ground_i[:2, :2] @ shift
     return replace(geometry, x=geometry.x + float(x), y=geometry.y + float(y))
+
+
+def distinctness(own: Float, others: Float) -> float:
+    """How surely the found geometry is more than one of many shifts of a repetitive ground.
+
+    Where the ground only repeats, the found geometry is the best of K + 1 on one patch of K + 1;
+    where it has marks of its own, on most of them.
+
+    Parameters
+    ----------
+    own : (N,) float64
+        Correlation of the patches under the found geometry; below zero: not aligned.
+    others : (K, N) float64
+        The same under the shifted ones.
+
+    Returns
+    -------
+    share : float
+        Patches on which the found geometry is the best of all, of those with texture, beyond the
+        share that chance gives it; 0 = chance, 1 = all.
+    """
+    rivals = (others > 0).sum(axis=0)
+    compared = (own > 0) & (rivals > 0)
+    wins = int((compared & (own > others.max(axis=0) + _OPTICS)).sum())
+    by_chance = float((1.0 / (1.0 + rivals[compared])).sum())
+    return (wins - by_chance) / max(int((own > BLANK).sum()) - by_chance, 1.0)

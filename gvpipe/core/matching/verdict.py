@@ -54,6 +54,11 @@ class Evidence:
     drift: float
 
     @property
+    def share(self) -> float:
+        """Patches that agree, of those tested."""
+        return self.inliers / max(self.tested, 1)
+
+    @property
     def probability(self) -> float:
         """That the homography is right within three pixels.
 
