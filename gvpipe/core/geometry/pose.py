@@ -104,54 +104,28 @@ def mount_of(map_from_camera: Pose) -> Mount:
 
 def rotation_vector(rotation: Float) -> Float:
     """Axis times angle, (3,) radians, of a rotation matrix."""
-    [(*axis, w)] = _quaternions(rotation[None])
-    sine = float(np.linalg.norm(axis))
-    angle_by_sine = 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0
-    return np.array(axis) * angle_by_sine
+    from scipy.spatial.transform import Rotation  # takes long to load, and few need it
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec(), dtype=np.float64)
 
 
 def quaternions(poses: Sequence[Pose]) -> Float:
     """Write rotations of poses as unit quaternions (N, 4): x, y, z and w >= 0."""
-    return _quaternions(np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3))
+    from scipy.spatial.transform import Rotation
 
-
-def _quaternions(rotation: Float) -> Float:
-    """Find the unit quaternions (N, 4) of rotations (N, 3, 3); the last, w, is not negative."""
-    r = rotation.transpose(1, 2, 0)
-    square = np.empty((4, 4, len(rotation)))  # 4 q q^T: each of its rows is q times a number
-    for k, sign in enumerate(np.array([[1, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1]])):
-        square[k, k] = 1.0 + sign @ np.einsum("iin->in", r)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        square[i, j] = square[j, i] = r[i, j] + r[j, i]
-        square[k, 3] = square[3, k] = r[j, i] - r[i, j]
-    largest = np.einsum("iin->ni", square).argmax(axis=1)  # by which division is safe
-    q = square[largest, :, np.arange(len(rotation))]
-    # of two quaternions the one whose w, or where that is 0 whose first number, is positive
-    lead = np.where(q[:, 3] != 0.0, q[:, 3], q[np.arange(len(q)), (q[:, :3] != 0.0).argmax(axis=1)])
-    q *= np.copysign(1.0 / np.linalg.norm(q, axis=1), lead)[:, None]
-    return np.asarray(q)
+    rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
+    return np.asarray(Rotation.from_matrix(rotations).as_quat(canonical=True), dtype=np.float64)
 
 
 def rotation_matrix(rotation_vector: Float) -> Float:
     """Rotation matrix (3, 3), or several, of an axis times angle, (3,) radians."""
-    v = np.asarray(rotation_vector, dtype=np.float64)
-    angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(v, -1, 0)
-    o = np.zeros_like(x)
-    cross = np.stack([o, -z, y, z, o, -x, -y, x, o], axis=-1).reshape(*v.shape[:-1], 3, 3)
-    # Rodrigues; sin(a) / a and (1 - cos(a)) / a^2 by numpy's sinc, which knows its limit
-    by_sine, by_cosine = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    return np.asarray(np.eye(3) + by_sine * cross + by_cosine * (cross @ cross))
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix(), dtype=np.float64)
 
 
 def rotation_of(quaternion: Sequence[float]) -> Float:
     """Rotation matrix (3, 3) of a quaternion x, y, z, w that is not zero."""
-    q = np.asarray(quaternion, dtype=np.float64)
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix(), dtype=np.float64)

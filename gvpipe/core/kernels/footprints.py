@@ -52,36 +52,3 @@ def shared_footprints(
         by_i = _share(ground[first[j] : first[j + 1]], projection[i], size[i, 0], size[i, 1])
         out[n] = min(by_i, by_j)
     return out
-
-
-@kernel
-def meeting_discs(centre: Float, radius: Float) -> Index:
-    """Pairs of discs that overlap.
-
-    Parameters
-    ----------
-    centre : (N, 2) float64
-        In increasing order of the first coordinate.
-    radius : (N,) float64
-
-    Returns
-    -------
-    pairs : (P, 2) int64
-        The smaller number first.
-    """
-    widest = radius.max() if len(radius) else 0.0
-    pairs = np.empty((0, 2), np.int64)
-    for filling in (False, True):  # counted first
-        count = 0
-        for i in range(len(centre)):
-            for j in range(i + 1, len(centre)):
-                x, y = centre[j, 0] - centre[i, 0], centre[j, 1] - centre[i, 1]
-                if x >= radius[i] + widest:
-                    break
-                if x * x + y * y < (radius[i] + radius[j]) ** 2:
-                    if filling:
-                        pairs[count, 0], pairs[count, 1] = i, j
-                    count += 1
-        if not filling:
-            pairs = np.empty((count, 2), np.int64)
-    return pairs

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import bdtrc
 
 from gvpipe.core.geometry.twoview import PairPrior, TwoView
 from gvpipe.core.kernels.patches import BLANK
-from gvpipe.core.matching.chance import log10_at_least
 from gvpipe.core.matching.features import MatchOptions
 from gvpipe.core.matching.patches import Aligned
 from gvpipe.core.types import Float
@@ -110,7 +110,8 @@ def weigh(aligned: Aligned, covariance: Float, expected: TwoView, prior: PairPri
     unlikely = 0.5 * float(off @ off) / np.log(10.0)
     inliers = int(aligned.agrees.sum())
     tested = int((aligned.correlation > BLANK).sum())
-    tail = log10_at_least(inliers, tested, _CHANCE)
+    with np.errstate(divide="ignore"):
+        tail = float(np.log10(bdtrc(inliers - 1, tested, _CHANCE)))
     return Evidence(
         inliers=inliers,
         tested=tested,

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix, diags_array
+from scipy.sparse.linalg import splu
 
 from gvpipe.core.geometry.ground import calibrations
 from gvpipe.core.geometry.twoview import PairPrior
@@ -55,9 +57,6 @@ HEIGHT_SIGMA = 0.05
 
 RATIO_SIGMA = 0.01
 """Ratios of heights are known to about this from one link; well beyond it they lose weight."""
-
-SOLVED = 1e-12
-"""Share of the right side that conjugate gradients may leave."""
 
 
 @dataclass(frozen=True)
@@ -228,42 +227,29 @@ def _medians(group: Index, values: Float, count: int) -> Float:
 
 def _log_heights(ends: Index, ratios: Float, count: int) -> Float:
     """Logarithms (N,) of heights over configured ones that explain the links' ratios best."""
-    i, j = ends.T
-    heights, off = np.zeros(count), np.zeros(len(ratios))
+    heights = np.zeros(count)
+    if not len(ratios):
+        return heights
+    edges = np.arange(len(ratios))
+    jacobian = csc_matrix(
+        coo_matrix(
+            (
+                np.concatenate([np.ones(len(ratios)), -np.ones(len(ratios))]),
+                (np.concatenate([edges, edges]), ends.T.ravel()),
+            ),
+            (len(ratios), count),
+        )
+    )
+    weight = np.full(len(ratios), 1.0 / RATIO_SIGMA**2)
     for _ in range(5):
+        weighted = diags_array(weight) @ jacobian
+        normal = csc_matrix(jacobian.T @ weighted) + diags_array(
+            np.full(count, 1.0 / HEIGHT_SIGMA**2)
+        )
+        heights = splu(csc_matrix(normal)).solve(weighted.T @ ratios)
+        off = (jacobian @ heights - ratios) / RATIO_SIGMA
         weight = 1.0 / (RATIO_SIGMA**2 * (1.0 + off**2))
-        heights = _levelled(ends, ratios, weight, heights)
-        off = (heights[i] - heights[j] - ratios) / RATIO_SIGMA
-    return heights
-
-
-def _levelled(ends: Index, ratios: Float, weight: Float, start: Float) -> Float:
-    """Heights (N,) whose differences fit weighted ratios, each pulled to 0 by `HEIGHT_SIGMA`.
-
-    Conjugate gradients: the pull keeps the equations well conditioned, however long the chain.
-    """
-    i, j = ends.T
-    count, pull = len(start), 1.0 / HEIGHT_SIGMA**2
-
-    def gathered(flow: Float) -> Float:
-        return np.asarray(np.bincount(i, flow, count) - np.bincount(j, flow, count), np.float64)
-
-    def balance(heights: Float) -> Float:
-        return gathered(weight * (heights[i] - heights[j])) + pull * heights
-
-    wanted = gathered(weight * ratios)
-    heights, rest = start, wanted - balance(start)
-    way, square = rest, float(rest @ rest)
-    enough = SOLVED**2 * float(wanted @ wanted)
-    for _ in range(2 * count):
-        if square <= enough:
-            break
-        carried = balance(way)
-        step = square / float(way @ carried)
-        heights, rest = heights + step * way, rest - step * carried
-        square, before = float(rest @ rest), square
-        way = rest + square / before * way
-    return heights
+    return np.asarray(heights, dtype=np.float64)
 
 
 def _with_tilts(

@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from gvpipe.core.geometry.ground import calibrations, pixels_from_plane
 from gvpipe.core.geometry.pose import yaw_tilt_roll
-from gvpipe.core.kernels.components import connected
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.holding import MIN_POINTS, hold
 from gvpipe.core.slam.links import Link, LinkSet, robot_of
@@ -154,7 +155,9 @@ def _robots(order: Sequence[str]) -> Index:
 
 def _connected(count: int, reference: int, ends: Index) -> list[Index]:
     """Components of two images or more, the reference's first and the reference first in it."""
-    label = connected(count, *np.ascontiguousarray(ends.T))
+    i, j = ends.T
+    graph = coo_matrix((np.ones(len(i)), (i, j)), (count, count))
+    _, label = connected_components(graph, directed=False)
     home = int(label[reference])
     others = [x for x in dict.fromkeys(label.tolist()) if x != home]
     parts = [np.nonzero(label == x)[0].astype(np.int64) for x in (home, *others)]

@@ -5,9 +5,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gvpipe.core.geometry.ground import calibrations, pixels_from_plane
-from gvpipe.core.kernels.footprints import meeting_discs, shared_footprints
+from gvpipe.core.kernels.footprints import shared_footprints
 from gvpipe.core.slam.links import Index, robot_of
 from gvpipe.core.types import Camera, Float, Pose
 
@@ -105,13 +106,17 @@ def _near(ground: Float, first: Index, known: Index) -> Index:
     """Pairs of images (P, 2) whose ground could overlap, without the known ones."""
     image = np.repeat(np.arange(len(first) - 1), np.diff(first))
     count = np.bincount(image, minlength=len(first) - 1)
+    which = np.nonzero(count)[0]
+    if len(which) < 2:
+        return np.empty((0, 2), dtype=np.int64)
     sums = [np.bincount(image, column, minlength=len(count)) for column in ground.T]
     centre = np.column_stack(sums) / np.maximum(count, 1)[:, None]
     reach = np.zeros(len(count))
     np.maximum.at(reach, image, np.linalg.norm(ground - centre[image], axis=1))
-    which = np.nonzero(count)[0]
-    which = which[np.argsort(centre[which, 0], kind="stable")]
-    pairs = np.sort(which[meeting_discs(centre[which], reach[which])], axis=1)
+    pairs = cKDTree(centre[which]).query_pairs(2.0 * float(reach.max()), output_type="ndarray")
+    pairs = np.sort(which[pairs], axis=1)
+    apart = np.linalg.norm(centre[pairs[:, 0]] - centre[pairs[:, 1]], axis=1)
+    pairs = pairs[apart < reach[pairs].sum(axis=1)]
     known = np.sort(known, axis=1)
     old = np.isin(pairs @ [len(count), 1], known @ [len(count), 1])
     return pairs[~old]

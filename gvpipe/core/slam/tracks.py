@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from gvpipe.core.kernels.cells import gathered_cells
-from gvpipe.core.kernels.components import connected
 from gvpipe.core.slam.links import Matches
 from gvpipe.core.types import Float
 
@@ -84,8 +85,10 @@ def chain_matches(
     cells = np.column_stack([camera, np.round(pixel / SAME_CORNER_PX)]).astype(np.int64)
     _, first, corner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     corner = corner.ravel()
-    chain = connected(len(first), corner[left], corner[right])
-    return _gather(camera, pixel, first, chain, corner[left], corner[right])
+    count = len(first)
+    graph = coo_matrix((np.ones(len(left)), (corner[left], corner[right])), (count, count))
+    _, chain = connected_components(graph, directed=False)
+    return _gather(camera, pixel, first, chain.astype(np.int64), corner[left], corner[right])
 
 
 def _gather(
