@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gvpipe.core.reconstruct.background import (
     GroundModel,
     GroundWitnesses,
+    Mask,
     SeenGround,
     below_horizon,
     reduced,
@@ -19,7 +20,7 @@ from gvpipe.core.reconstruct.background import (
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.ghosts import without_ghosts
-from gvpipe.core.reconstruct.hiding import hidden_ground, tolerant_solids
+from gvpipe.core.reconstruct.hiding import bodies_seen, hidden_ground, tolerant_solids
 from gvpipe.core.reconstruct.likeness import (
     Features,
     GroundNoise,
@@ -115,17 +116,19 @@ def silhouettes(
     small = GroundWitnesses([reduced(v, p, reduction(v)) for v, p in pairs])
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
-        hidden: list[NDArray[np.uint8]] = []
+        hidden: list[Mask] = []
+        solid: list[Mask] = []
         raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
             shapes = _round(small, scale, options, raised, index == 0, pool)
             solids = tolerant_solids(small.views, shapes, options, tolerance, threads)
             hidden = hidden_ground(small.views, shapes, solids, pool)
-            small.hide(hidden)
+            solid = bodies_seen(small.views, solids, pool)
+            small.hide(hidden, solid)
             raised = raised_surfaces(small.views, solids, threads)
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
-            full.hide(hidden)
+            full.hide(hidden, solid)
         shapes = _round(full, scale, options, raised, not hidden, pool)
     return without_ghosts(views, shapes, options, threads)
 
