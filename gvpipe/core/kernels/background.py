@@ -165,7 +165,7 @@ def ground_behind(
     centres: Float,
     colour_scale: float,
     reach: float,
-    solid: Bytes,
+    solid: NDArray[np.bool_],
     colour: Single,
     support: Single,
     open_weight: Single,
@@ -195,8 +195,8 @@ def ground_behind(
         Colours closer than this agree, levels.
     reach : float
         Ground farther from a camera than this many of its heights is not asked.
-    solid : (H, W) uint8
-        Not 0 where the view may show an obstacle: there, what looks like gloss may be its colour.
+    solid : (h, w) bool
+        Where the view may show an obstacle: there, what looks like gloss may be its colour.
     colour, support, open_weight, total_weight
         (h, w, 3) and (h, w) float32, filled: the colour most agree on, the weight that agrees,
         the weight of all views not hidden there, and of all views. Zero where nothing is seen.

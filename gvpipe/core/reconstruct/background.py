@@ -97,12 +97,15 @@ class SeenGround:
         Weight of the views that agree; 0 where none sees the ground.
     open_weight, total_weight : (H, W) float32
         Weight of the views from which no known obstacle hides the ground, and of all views.
+    solid : (H, W) bool
+        Where the view may show an obstacle: everywhere until obstacles become known.
     """
 
     colour: NDArray[np.float32]
     support: NDArray[np.float32]
     open_weight: NDArray[np.float32]
     total_weight: NDArray[np.float32]
+    solid: NDArray[np.bool_]
 
 
 @dataclass
@@ -147,9 +150,9 @@ class GroundWitnesses:
         """Ask the other views for the ground behind one; colours closer than the scale agree."""
         view = self.views[index]
         shape = view.pixels.shape[:2]
-        seen = SeenGround(
-            np.zeros((*shape, 3), np.float32), *(np.zeros(shape, np.float32) for _ in range(3))
-        )
+        colour = np.zeros((*shape, 3), np.float32)
+        support, opened, total = (np.zeros(shape, np.float32) for _ in range(3))
+        solid = self.solid[index, : shape[0], : shape[1]] > 0
         ground_behind(
             index,
             self._others(index),
@@ -162,13 +165,13 @@ class GroundWitnesses:
             self._centres,
             colour_scale,
             REACH,
-            self.solid[index],
-            seen.colour,
-            seen.support,
-            seen.open_weight,
-            seen.total_weight,
+            solid,
+            colour,
+            support,
+            opened,
+            total,
         )
-        return seen
+        return SeenGround(colour, support, opened, total, solid)
 
     def _others(self, index: int) -> NDArray[np.int64]:
         """Return the views whose pictures centre on ground nearest to where this one does."""

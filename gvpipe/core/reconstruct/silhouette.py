@@ -212,7 +212,7 @@ def _silhouette(
 ) -> Silhouette:
     """Cut one view into obstacle and ground."""
     known = seen.support > 0
-    measured = _measured_gain(view, seen, noise, options)
+    measured = _measured_gain(view, seen, noise, options, first)
     hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
     gain = measured + options.hidden_gain * hidden.astype(np.float32) + extra
     region = segment(gain, view.pixels, options.outline)
@@ -256,7 +256,7 @@ def _guessed(
 
 
 def _measured_gain(
-    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
+    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions, first: bool
 ) -> NDArray[np.float32]:
     """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0
@@ -268,4 +268,6 @@ def _measured_gain(
     certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
     # views thought not to see the ground that still agree on its texture do see it
     certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
+    if not first:  # where most views see a body, gloss on it may pass for ground, texture will not
+        certain = np.where(seen.solid & (odds < 0), recognised * agreeing, certain)
     return np.where(known, odds * certain, 0).astype(np.float32)
