@@ -24,8 +24,8 @@ from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_tools
 
 if TYPE_CHECKING:  # loaded late: the command line stays quick
-    from gvpipe.chain import Session
     from gvpipe.report import Reporter
+    from gvpipe.session import Session
 
 EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
 
@@ -193,9 +193,9 @@ def _prepared(
         limit = parse_size(memory_limit)
         jobs = jobs_within(limit, jobs)
         keep_within(limit)
-    from gvpipe.chain import Session
     from gvpipe.configfile import load_config
     from gvpipe.report import Reporter
+    from gvpipe.session import Session
 
     reporter = Reporter(quiet=says.quiet, verbose=says.verbose, log_json=says.log_json)
     return Session(load_config(path, tuple(overrides or ()), out), jobs), reporter

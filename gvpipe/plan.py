@@ -3,12 +3,13 @@
 from collections.abc import Collection, Iterator
 from math import prod
 
-from gvpipe.chain import Chain, Session, stage_module
+from gvpipe.chain import Chain, stage_module
 from gvpipe.config import Config
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
 from gvpipe.memory import PROCESS_BYTES
 from gvpipe.report import Reporter
+from gvpipe.session import Session
 from gvpipe.stages.match import planned_pairs
 
 START_S = 1.0
@@ -111,11 +112,12 @@ def estimate(name: str, config: Config, dataset: Dataset, jobs: int) -> tuple[fl
         "mosaic": COMPOSE_S_PER_MPX * mpx,
         "reconstruct": CARVE_S_PER_MPX * mpx,
     }
-    processes = jobs + 1 if jobs > 1 and name in ("match", "overlap", "slam") else 1
+    parallel = stage_module(name).PARALLEL
+    processes = jobs + 1 if jobs > 1 and parallel == "processes" else 1
     size = PROCESS_BYTES * processes
     if name == "reconstruct":
         size += BYTES_PER_PIXEL * pixels + BYTES_PER_VOXEL * prod(config.reconstruct.grid)
-    return START_S + work[name] / jobs, size
+    return START_S + work[name] / (jobs if parallel else 1), size
 
 
 def _upstream(name: str, config: Config) -> Iterator[str]:
