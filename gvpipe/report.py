@@ -22,6 +22,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from gvpipe.errors import UsageError
+
 HEARTBEAT_S = 30.0
 """Without a terminal, long work says this often that it is alive."""
 
@@ -90,9 +92,16 @@ class Reporter:
         Also details.
     log_json : bool
         Log lines as JSON objects on standard error.
+
+    Raises
+    ------
+    UsageError
+        If it is to say both less and more.
     """
 
     def __init__(self, *, quiet: bool = False, verbose: bool = False, log_json: bool = False):
+        if quiet and verbose:
+            raise UsageError("--quiet and --verbose exclude each other")
         self.quiet = quiet
         self._out = _Console(soft_wrap=True, highlight=False)
         self._err = _Console(stderr=True, soft_wrap=True, highlight=False)
