@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.logging import RichHandler
 from rich.progress import (
@@ -33,6 +34,16 @@ log = logging.getLogger("gvpipe")
 def printable(text: str) -> str:
     """Escape control characters, so that no file name can steer the terminal."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def shortest(path: Path) -> str:
+    """Name a path from the current folder on if it lies below it, else in full; without ``..``."""
+    try:
+        here = Path.cwd()
+    except OSError:  # the folder is gone
+        return str(path)
+    full = path.resolve() if ".." in path.parts else path.absolute()
+    return str(full.relative_to(here) if full.is_relative_to(here) else full)
 
 
 class _Lines(logging.Formatter):
@@ -149,14 +160,17 @@ class Reporter:
         if self.quiet:
             return
         table = Table(title=None, box=None, show_header=False, pad_edge=False)
-        table.add_column(style="bold")
+        keys = [printable(key) for key, _ in rows] + ["wrote"] * bool(paths)
+        width = max(map(cell_len, keys), default=0)
+        table.add_column(style="bold", min_width=width)
         table.add_column(overflow="fold")
-        for key, value in rows:
-            table.add_row(Text(printable(key)), Text(printable(value)))
-        for path in paths:
-            table.add_row(Text("wrote"), Text(printable(str(path))))
+        for key, (_, value) in zip(keys, rows, strict=False):
+            table.add_row(Text(key), Text(printable(value)))
         self._out.print(Text(title, style="bold"))
         self._out.print(table)
+        for path in paths:  # not in the table, which would wrap them: a path is to be copied
+            head = Text("wrote".ljust(width + 2), style="bold")
+            self._out.print(head + Text(printable(shortest(path)), style="not bold"))
 
 
 class Ticker:
