@@ -12,17 +12,20 @@ from gvpipe.report import Reporter
 from gvpipe.session import Session
 from gvpipe.stages.match import planned_pairs
 
-START_S = 1.0
-EXTRACT_S_PER_MPX = 0.35
-MATCH_S = 0.05
-LINK_S = 0.6
-LINK_KNOWN_S = 0.1
-VALIDATE_S = 0.2
+START_S = 0.75
+DESCRIBE_S_PER_MPX = 0.05
+EXTRACT_S_PER_MPX = 0.13
 COMPOSE_S_PER_MPX = 0.15
-CARVE_S_PER_MPX = 9.0
-"""CPU seconds of the steps on a core of 2024: to start, for each Mpx of pictures, for each pair,
-for each picture that is linked with others, tried against another robot's, or is given all its
-links; measured on sets of 8 to 60 pictures of 0.3 to 0.9 Mpx, right within a factor of two."""
+CARVE_S_PER_MPX = 5.0
+MATCH_S = 0.06
+DECOMPOSE_S = 0.003
+VALIDATE_S = 0.11
+LINK_S = 0.15
+LINK_KNOWN_S = 0.08
+"""CPU seconds on a core of 2024: to start; for each Mpx of pictures; for each pair; for each
+picture tried against another robot's, linked with others, or that has all its links. Measured on
+sets of 8 to 60 pictures of 0.3 to 0.7 Mpx, each command alone with its loops compiled: right within
+a factor of two there. In one run of several commands, those after the first cost less."""
 
 BYTES_PER_PIXEL = 11
 BYTES_PER_VOXEL = 42
@@ -106,8 +109,9 @@ def estimate(name: str, config: Config, dataset: Dataset, jobs: int) -> tuple[fl
     linked = config.match.pairs == "exhaustive"
     work = {
         "match": EXTRACT_S_PER_MPX * mpx + MATCH_S * len(planned_pairs(config, dataset)),
-        "localize": MATCH_S * len(planned_pairs(config, dataset)),
-        "overlap": EXTRACT_S_PER_MPX * mpx + VALIDATE_S * images * (len(dataset.robots) > 1),
+        "localize": DECOMPOSE_S * len(planned_pairs(config, dataset)),
+        "overlap": DESCRIBE_S_PER_MPX * mpx
+        + (EXTRACT_S_PER_MPX * mpx + VALIDATE_S * images) * (len(dataset.robots) > 1),
         "slam": LINK_KNOWN_S * images if linked else LINK_S * images + EXTRACT_S_PER_MPX * mpx,
         "mosaic": COMPOSE_S_PER_MPX * mpx,
         "reconstruct": CARVE_S_PER_MPX * mpx,
