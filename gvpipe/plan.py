@@ -27,9 +27,9 @@ picture tried against another robot's, linked with others, or that has all its l
 sets of 8 to 60 pictures of 0.3 to 0.7 Mpx, each command alone with its loops compiled: right within
 a factor of two there. In one run of several commands, those after the first cost less."""
 
-BYTES_PER_PIXEL = 11
+BYTES_PER_PIXEL = 24
 BYTES_PER_VOXEL = 42
-"""Memory that the reconstruction takes beside its libraries, measured likewise."""
+"""Memory of the reconstruction beside its libraries, measured likewise: within a quarter."""
 
 
 def plan_stage(

@@ -5,7 +5,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -192,7 +192,7 @@ class Ticker:
 class _BarTicker(Ticker):
     """Moves a progress bar instead."""
 
-    def __init__(self, what: str, total: int, move) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, what: str, total: int, move: Callable[[int], object]):
         super().__init__(what, total)
         self._move = move
 

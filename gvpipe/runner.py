@@ -47,7 +47,7 @@ def run_stage(name: str, session: Session, reporter: Reporter, *, force: bool = 
         checkpoints = Checkpoints(out / f".{name}.checkpoints")
         fresh = None if force else _fresh(folder, name, expected)
         if force or fresh:
-            checkpoints.sweep()  # a run killed right after it had published left them
+            checkpoints.sweep()  # not wanted, or of a run killed right after it had published
         if fresh:
             with writing_to(folder):
                 (folder / fresh.body.file).touch()  # Make goes by time

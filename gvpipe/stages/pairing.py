@@ -13,7 +13,7 @@ from gvpipe.dataset import Dataset
 from gvpipe.parallel import Crashed
 from gvpipe.stages.contract import Context
 
-Described = dict[str, Features | Crashed[tuple[str, MatchOptions]]]
+_Described = dict[str, Features | Crashed[tuple[str, MatchOptions]]]
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,10 @@ def _described(
     wanted: Collection[str],
     options: MatchOptions,
     on_step: Callable[[], object],
-) -> Described:
+) -> _Described:
     """Features of the wanted images: those that are kept, and new ones."""
     store = context.features
-    features: Described = {
+    features: _Described = {
         image: kept for image in images if (kept := store.get(image, options)) is not None
     }
     new = [image for image in images if image in wanted and image not in features]
