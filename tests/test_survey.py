@@ -5,9 +5,10 @@ import numpy as np
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply
 from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.kernels.survey import successive
 from gvpipe.core.mosaic.blend import BLENDS
 from gvpipe.core.mosaic.compose import compose
-from gvpipe.core.mosaic.exposure import balance
+from gvpipe.core.mosaic.exposure import Spots, balance
 from gvpipe.core.mosaic.raster import Picture, plan_raster
 from gvpipe.core.mosaic.survey import survey
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
@@ -76,14 +77,13 @@ def test_balance_recovers_exposures_and_vignetting():
     ratio -= falloff[camera_of[j]] * radii[:, 1]
     ratio += rng.normal(0, 0.02, len(i))
     ratio[::10] += rng.choice([-1.0, 1.0], len(ratio[::10]))  # obstacles
-    found = balance(i, j, ratio, radii, camera_of)
+    found = balance(Spots(np.column_stack([i, j]), ratio, radii, np.ones(len(i))), camera_of)
     np.testing.assert_allclose(found.log_gain, gains, atol=0.01)
     np.testing.assert_allclose(found.falloff, falloff[camera_of], atol=0.02)
 
 
 def test_balance_without_spots_changes_nothing():
-    none = np.empty(0, np.intp)
-    found = balance(none, none, np.empty(0), np.empty((0, 2)), np.zeros(3, np.intp))
+    found = balance(Spots.joined([]), np.zeros(3, np.intp))
     np.testing.assert_array_equal(found.log_gain, np.zeros(3))
 
 
@@ -93,6 +93,35 @@ def test_survey_finds_exposures_of_pictures():
     found = survey(views, plan_raster(views, RESOLUTION)).exposure
     np.testing.assert_allclose(found.log_gain - found.log_gain.mean(), gains, atol=0.02)
     np.testing.assert_allclose(found.falloff, FALLOFF, atol=0.05)
+
+
+def test_spots_pair_each_view_with_the_next_that_sees_the_cell():
+    """Four views of two by three cells; the third view is blind to all but the first cell."""
+    rng = np.random.default_rng(3)
+    light = rng.uniform(20, 200, (2, 3, 4))
+    light[..., 1] = (1 + light[..., 0]) * 1.3 - 1  # the same grain at another exposure
+    radii = rng.uniform(0, 1, (2, 3, 4)).astype(np.float32)
+    radii[:, 1:, 2] = -1
+    colours = np.repeat(light[..., None], 3, axis=3).astype(np.float32)
+    pairs, ratio, both, weight = successive(colours, radii, 1, 0.02)
+    assert pairs.tolist() == 2 * [[0, 1], [1, 3], [3, 0]]
+    expected = np.log1p(light[0, :2][:, [0, 1, 3]]) - np.log1p(light[0, :2][:, [1, 3, 0]])
+    np.testing.assert_allclose(ratio, expected.ravel(), atol=1e-5)
+    np.testing.assert_array_equal(both[0], radii[0, 0, :2])
+    np.testing.assert_allclose(weight[::3], 1.0, atol=1e-3)
+    assert (weight[[1, 2, 4, 5]] < 0.1).all()
+
+
+def test_what_hides_most_of_the_ground_does_not_pass_for_an_exposure():
+    """On grainy ground, a plain dark wall through most of what two views share stays a wall."""
+    rng = np.random.default_rng(4)
+    grain = rng.uniform(60, 180, (60, 60))
+    light = np.stack([grain, grain, 0.9 * grain], axis=2) + rng.normal(0, 0.5, (60, 60, 3))
+    light[:, :35, 0] = 30 + rng.normal(0, 0.5, (60, 35))
+    colours = np.repeat(light[..., None], 3, axis=3).astype(np.float32)
+    spots = Spots(*successive(colours, np.zeros((60, 60, 3), np.float32), 1, 0.02))
+    gains = balance(spots, np.zeros(3, np.intp)).log_gain
+    np.testing.assert_allclose(gains - gains[0], [0.0, 0.0, np.log(0.9)], atol=0.02)
 
 
 def test_clean_maps_tell_ground_from_the_post():

@@ -65,6 +65,58 @@ def cell_colours(
 
 
 @kernel
+def successive(
+    colours: Single, radii: Single, step: int, same: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pair every view of a cell with the next one that sees it, round the list.
+
+    So every chain of views closes. Every `step`-th cell each way is taken, where both views see
+    the cells right of and below it too.
+
+    Returns
+    -------
+    pairs : (N, 2) int64
+        The two views, as places in the last axis.
+    log_ratio : (N,) float64
+        Logarithm of the brightness in the first over that in the second.
+    both : (N, 2) float64
+        The radii in the two.
+    weight : (N,) float64
+        ``1 / (1 + (c / same)^2)`` of the larger change c of the log ratio to these two cells.
+    """
+    h, w, n = radii.shape
+    most = (h // step + 1) * (w // step + 1) * n
+    pairs, both = np.empty((most, 2), np.int64), np.empty((most, 2))
+    ratio, weight = np.empty(most), np.empty(most)
+    light, seen = np.empty((3, n)), np.empty(n, np.bool_)
+    count = 0
+    for v in range(0, h - 1, step):
+        for u in range(0, w - 1, step):
+            for k in range(n):
+                seen[k] = min(radii[v, u, k], radii[v, u + 1, k], radii[v + 1, u, k]) >= 0
+                if seen[k]:
+                    for q in range(3):
+                        c = colours[v + q // 2, u + q % 2, k]
+                        light[q, k] = np.log1p((c[0] + c[1] + c[2]) / 3.0)
+            for a in range(n):
+                if not seen[a]:
+                    continue
+                b = (a + 1) % n
+                while not seen[b]:
+                    b = (b + 1) % n
+                if b == a:
+                    continue
+                r = light[0, a] - light[0, b]
+                change = max(abs(light[1, a] - light[1, b] - r), abs(light[2, a] - light[2, b] - r))
+                pairs[count, 0], pairs[count, 1], ratio[count] = a, b, r
+                both[count, 0], both[count, 1] = radii[v, u, a], radii[v, u, b]
+                weight[count] = 1.0 / (1.0 + (change / same) ** 2)
+                count += 1
+    # copies: what is kept of every tile must not hold the whole room
+    return pairs[:count], ratio[:count].copy(), both[:count].copy(), weight[:count].copy()
+
+
+@kernel
 def vote(
     colours: Single,
     radii: Single,

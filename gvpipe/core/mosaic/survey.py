@@ -6,7 +6,7 @@ ground; a vote counts by direction, by length of the line of sight, and by how c
 is on ground that views from several sides agree on.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gvpipe.core.kernels import survey as kernels
 from gvpipe.core.kernels.mosaic import CLEAN_SHARE
 from gvpipe.core.mosaic.cleanmap import CleanMap
-from gvpipe.core.mosaic.exposure import Exposure, balance
+from gvpipe.core.mosaic.exposure import Exposure, Spots, balance
 from gvpipe.core.mosaic.groundcolours import GroundColours, colour_bins
 from gvpipe.core.mosaic.raster import (
     Border,
@@ -58,6 +58,10 @@ SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
 
 MAX_SPOTS = 60_000
 """Spots in the estimate of exposures: some hundred for each of hundreds of views."""
+
+SAME = 0.02
+"""Change of the log ratio of two views from a cell to the next that halves the cell's weight in the
+estimate of exposures: where both show ground, they show the same grain, and the ratio stays."""
 
 LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
@@ -166,7 +170,7 @@ class _Surveyor:
     def run(self) -> Survey:
         """Balance the exposures, learn the ground's colours, then judge the views tile by tile."""
         spots = in_order(self._spots, self.tiles, self.jobs)
-        exposure = self._balance([s for s in spots if len(s)])
+        exposure = self._balance(spots)
         tallies = in_order(lambda t: self._tally(t, exposure), self.tiles, self.jobs)
         known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
         maps = [CleanMap.blank(p, self.cells) for p in self.placed]
@@ -247,36 +251,19 @@ class _Surveyor:
                 colours[here], radii[here] = sight.colours[there], sight.radii[there]
         return _Look(column, row, views, colours, radii)
 
-    def _spots(self, tile: tuple[int, int]) -> Float:
-        """Cells seen by successive views: (N, 5) of views i and j, log ratio, radii in i and j."""
+    def _spots(self, tile: tuple[int, int]) -> Spots:
+        """Cells seen by successive views."""
         look = self._look(tile)
-        if not len(look.views):
-            return np.empty((0, 5))
         total = self.cells.width * self.cells.height
         step = max(1, round(float(np.sqrt(total / MAX_SPOTS))))
-        colours = look.colours[::step, ::step].reshape(-1, len(look.views), 3)
-        radii = look.radii[::step, ::step].reshape(-1, len(look.views))
-        light = np.log1p(colours.mean(axis=2, dtype=np.float64))
-        rows = []
-        for a in range(len(look.views)):
-            # the next view that sees the cell, round the list, so that every chain closes
-            unpaired = radii[:, a] >= 0
-            for b in (*range(a + 1, len(look.views)), *range(a)):
-                both = unpaired & (radii[:, b] >= 0)
-                unpaired &= ~both
-                if both.any():
-                    ratio = light[both, a] - light[both, b]
-                    ids = np.broadcast_to(look.views[[a, b]], (len(ratio), 2))
-                    rows.append(np.column_stack([ids, ratio, radii[both][:, [a, b]]]))
-        return np.concatenate(rows) if rows else np.empty((0, 5))
+        pairs, *rest = kernels.successive(look.colours, look.radii, step, SAME)
+        return Spots(look.views[pairs], *rest)
 
-    def _balance(self, spots: list[Float]) -> Exposure:
+    def _balance(self, spots: Iterable[Spots]) -> Exposure:
         """Exposures from the spots of all tiles."""
         cameras = {c: k for k, c in enumerate(dict.fromkeys(v.camera for v in self.views))}
         camera_of = np.array([cameras[v.camera] for v in self.views], dtype=np.intp)
-        s = np.concatenate([np.empty((0, 5)), *spots])
-        i, j = s[:, 0].astype(np.intp), s[:, 1].astype(np.intp)
-        return balance(i, j, s[:, 2], s[:, 3:], camera_of)
+        return balance(Spots.joined(spots), camera_of)
 
     def _brightness(self, look: _Look, exposure: Exposure) -> Single:
         """How bright each view shows its cells, against the balanced exposure; (h, w, n)."""
