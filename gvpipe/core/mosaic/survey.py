@@ -17,18 +17,11 @@ from gvpipe.core.kernels.mosaic import CLEAN_SHARE
 from gvpipe.core.mosaic.cleanmap import CleanMap
 from gvpipe.core.mosaic.exposure import Exposure, Spots, balance
 from gvpipe.core.mosaic.groundcolours import GroundColours, colour_bins
-from gvpipe.core.mosaic.raster import (
-    Border,
-    MosaicRaster,
-    Picture,
-    PlacedIndex,
-    PlacedView,
-    max_depth,
-    place,
-)
+from gvpipe.core.mosaic.raster import Border, MosaicRaster, Picture, PlacedIndex, max_depth
+from gvpipe.core.mosaic.sight import Look, look_at, take_sight
 from gvpipe.core.mosaic.smoothing import mean_around, smooth_light
 from gvpipe.core.mosaic.tiles import in_order
-from gvpipe.core.types import Float, PosedView
+from gvpipe.core.types import PosedView
 
 CELLS_PER_HEIGHT = 25.0
 """Cells in one camera height: 2 to 3 cm for a robot, smaller than what it must not run into and
@@ -62,6 +55,14 @@ MAX_SPOTS = 60_000
 SAME = 0.02
 """Change of the log ratio of two views from a cell to the next that halves the cell's weight in the
 estimate of exposures: where both show ground, they show the same grain, and the ratio stays."""
+
+SLOPE_NOISE = 5.0
+"""Slopes of a cell (grey levels) down to which views differ by noise and registration."""
+
+GRAIN = 2.0
+"""A view of the same colour counts this much more where it shows the same grain: an obstacle may
+have the colour of the ground, and look alike from all sides, but its grain lies elsewhere in
+every view."""
 
 LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
@@ -103,28 +104,6 @@ class Survey:
     covered_m2: float
 
 
-@dataclass(frozen=True)
-class _Sight:
-    """All cells of one view: colours (h, w, 3) and radii (h, w), -1 = not seen."""
-
-    column: int
-    row: int
-    colours: NDArray[np.uint8]
-    radii: NDArray[np.float16]
-    border: Border
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A tile of cells: views that may see it, colours (h, w, n, 3), radii (h, w, n)."""
-
-    column: int
-    row: int
-    views: NDArray[np.intp]
-    colours: Single
-    radii: Single
-
-
 def survey(views: Sequence[PosedView | Picture], raster: MosaicRaster, jobs: int = 1) -> Survey:
     """Look at all views in coarse cells.
 
@@ -154,11 +133,14 @@ class _Surveyor:
     ) -> None:
         self.views, self.factor, self.jobs = views, factor, jobs
         self.cells = raster.coarser(factor)
-        self.depths = [max_depth(v, raster.resolution) for v in views]
         self.cameras = np.array([v.map_from_camera.translation for v in views])
-        seen = list(in_order(self._sight, range(len(views)), jobs))
-        self.sights = [sight for _, sight in seen]
+        seen = list(
+            in_order(
+                lambda v: take_sight(v, self.cells, max_depth(v, raster.resolution)), views, jobs
+            )
+        )
         self.placed = [placed for placed, _ in seen]
+        self.sights = [sight for _, sight in seen]
         self.index = PlacedIndex(self.placed)
         corners = [
             (row, column)
@@ -198,31 +180,6 @@ class _Surveyor:
             covered * self.cells.resolution**2,
         )
 
-    def _sight(self, k: int) -> tuple[PlacedView | None, _Sight]:
-        """Sample all cells of a view: the only time that its picture is read."""
-        view = self.views[k]
-        border = view.border()
-        p = place(view, self.cells, self.depths[k], border)
-        if p is None:
-            nothing = np.zeros((0, 0, 3), np.uint8)
-            return p, _Sight(0, 0, nothing, np.zeros((0, 0), np.float16), border)
-        column, row = int(np.floor(p.box[0])), int(np.floor(p.box[1]))
-        shape = (int(np.ceil(p.box[3])) - row + 1, int(np.ceil(p.box[2])) - column + 1)
-        colours, radii = np.zeros((*shape, 3), np.float32), np.empty(shape, np.float32)
-        kernels.cell_colours(
-            view.read(),
-            *border,
-            p.pixel_from_raster @ _shift(column, row),
-            p.max_depth,
-            np.array([view.camera.cx, view.camera.cy]),
-            view.camera.width / 2,
-            colours,
-            radii,
-        )
-        # a tenth of the memory of the pictures: the tiles are made of these three times
-        rounded = np.rint(colours).astype(np.uint8)
-        return p, _Sight(column, row, rounded, radii.astype(np.float16), border)
-
     def _window(self, tile: tuple[int, int]) -> tuple[int, int, int, int]:
         """First column and row, width and height of a tile with its margin."""
         height = min(TILE, self.cells.height - tile[0]) + 2 * MARGIN
@@ -232,24 +189,9 @@ class _Surveyor:
     def _touching(self, tile: tuple[int, int]) -> NDArray[np.intp]:
         return self.index.touching(*self._window(tile))
 
-    def _look(self, tile: tuple[int, int]) -> _Look:
+    def _look(self, tile: tuple[int, int]) -> Look:
         """Gather the cells of a tile and its margin from all views."""
-        column, row, width, height = self._window(tile)
-        views = self._touching(tile)
-        colours = np.zeros((height, width, len(views), 3), np.float32)
-        radii = np.full((height, width, len(views)), -1.0, np.float32)
-        for n, k in enumerate(views):
-            sight = self.sights[k]
-            h, w = sight.radii.shape
-            top, left = max(row, sight.row), max(column, sight.column)
-            bottom, right = min(row + height, sight.row + h), min(column + width, sight.column + w)
-            if top < bottom and left < right:
-                here = np.s_[top - row : bottom - row, left - column : right - column, n]
-                there = np.s_[
-                    top - sight.row : bottom - sight.row, left - sight.column : right - sight.column
-                ]
-                colours[here], radii[here] = sight.colours[there], sight.radii[there]
-        return _Look(column, row, views, colours, radii)
+        return look_at(self.sights, self._touching(tile), self._window(tile))
 
     def _spots(self, tile: tuple[int, int]) -> Spots:
         """Cells seen by successive views."""
@@ -265,18 +207,20 @@ class _Surveyor:
         camera_of = np.array([cameras[v.camera] for v in self.views], dtype=np.intp)
         return balance(Spots.joined(spots), camera_of)
 
-    def _brightness(self, look: _Look, exposure: Exposure) -> Single:
+    def _brightness(self, look: Look, exposure: Exposure) -> Single:
         """How bright each view shows its cells, against the balanced exposure; (h, w, n)."""
         gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
         return np.exp(gain).astype(np.float32)
 
-    def _vote(self, look: _Look, exposure: Exposure) -> tuple[Single, Single, Single]:
+    def _vote(self, look: Look, exposure: Exposure) -> tuple[Single, Single, Single]:
         """Balanced colours, weights and support of a tile's views."""
-        colours = look.colours / self._brightness(look, exposure)[..., None]
+        brightness = self._brightness(look, exposure)
+        colours = look.colours / brightness[..., None]
         weights, support = np.empty_like(look.radii), np.empty_like(look.radii)
         m = self.cells.map_from_pixel
         kernels.vote(
             colours,
+            look.slopes / brightness,
             look.radii,
             self.cameras[look.views],
             m[0, 2] + m[0, 0] * look.column,
@@ -284,6 +228,8 @@ class _Surveyor:
             self.cells.resolution,
             REACH_HEIGHTS,
             LIKE,
+            SLOPE_NOISE,
+            GRAIN,
             weights,
             support,
         )
@@ -305,7 +251,7 @@ class _Surveyor:
 
     def _judge(
         self, tile: tuple[int, int], exposure: Exposure, likelihood: Single
-    ) -> tuple[_Look, NDArray[np.uint8], Single, Single]:
+    ) -> tuple[Look, NDArray[np.uint8], Single, Single]:
         """Clean weights (h, w, n), light and log odds (h, w) of a tile, its margin cut off."""
         look = self._look(tile)
         inner = np.s_[MARGIN : len(look.radii) - MARGIN, MARGIN : look.radii.shape[1] - MARGIN]
@@ -325,8 +271,3 @@ class _Surveyor:
             odds = np.where(seen.any(axis=2), LOG_ODDS * (against - COLOUR_WEIGHT * colour), 0.0)
         rounded = np.rint(255 * clean[inner]).astype(np.uint8)
         return look, rounded, light[inner], odds[inner].astype(np.float32)
-
-
-def _shift(column: int, row: int) -> Float:
-    """Matrix from pixels of a part to those of the whole."""
-    return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
