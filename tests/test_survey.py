@@ -1,11 +1,12 @@
 """The survey: exposure, vignetting and obstacles of known views of a painted floor."""
 
 import numpy as np
+import pytest
 
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply
 from gvpipe.core.geometry.pose import planar_pose
-from gvpipe.core.kernels.survey import successive
+from gvpipe.core.kernels.survey import likeness, successive, vote
 from gvpipe.core.mosaic.blend import BLENDS
 from gvpipe.core.mosaic.compose import compose
 from gvpipe.core.mosaic.exposure import Spots, balance
@@ -25,14 +26,28 @@ def floor(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([90 + 15 * waves[0], 120 + 30 * waves[1], 100 + 20 * waves[2]], axis=-1)
 
 
-def picture(pose: Pose, gain: float, falloff: float, post: bool) -> np.ndarray:
-    """Floor, and a red post that hides what is behind it; exposure and vignetting applied."""
+def gravel(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Grey ground with a grain of some centimetres, no colour of its own."""
+    grain = np.sin(61 * x + 23 * y) + np.sin(17 * x - 57 * y) + np.sin(43 * x + 41 * y)
+    return np.repeat((110 + 25 * grain)[:, None], 3, axis=1)
+
+
+def picture(
+    pose: Pose,
+    gain: float,
+    falloff: float,
+    post: bool,
+    ground_colours=floor,
+    post_colour=(200, 20, 20),
+    post_at=POST,
+) -> np.ndarray:
+    """Floor, and a post that hides what is behind it; exposure and vignetting applied."""
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     pixels = np.column_stack([u.ravel(), v.ravel()]).astype(float)
     ground = apply(np.linalg.inv(pixel_from_plane(CAMERA, pose)), pixels)
-    colours = floor(ground[:, 0], ground[:, 1])
+    colours = ground_colours(ground[:, 0], ground[:, 1])
     if post:
-        x, y, side, height = POST
+        x, y, side, height = post_at
         centre = pose.translation
         # fractions of the sight line between which it is inside the post's walls and below its top
         delta = ground - centre[:2]
@@ -42,19 +57,19 @@ def picture(pose: Pose, gain: float, falloff: float, post: bool) -> np.ndarray:
         enter = np.minimum(low, high).max(axis=1)
         leave = np.minimum(np.maximum(low, high).min(axis=1), 1.0)
         below = 1.0 - height / centre[2]
-        colours[np.maximum(enter, below) < leave] = (200, 20, 20)
+        colours[np.maximum(enter, below) < leave] = post_colour
     r2 = ((pixels - (CAMERA.cx, CAMERA.cy)) ** 2).sum(axis=1) / (CAMERA.width / 2) ** 2
     lit = colours * np.exp(gain + falloff * r2)[:, None]
     return np.rint(lit).clip(0, 255).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 3)
 
 
-def ring(gains, falloff: float = 0.0, post: bool = True) -> list[PosedView]:
+def ring(gains, falloff: float = 0.0, post: bool = True, **scene) -> list[PosedView]:
     """Cameras around the origin, looking inwards."""
     views = []
     for k, gain in enumerate(gains):
         a = 2 * np.pi * k / len(gains)
         pose = planar_pose(-np.cos(a), -np.sin(a), a, Mount(np.radians(40), 0.0, 0.7))
-        views.append(PosedView(f"A/{k}", picture(pose, gain, falloff, post), CAMERA, pose))
+        views.append(PosedView(f"A/{k}", picture(pose, gain, falloff, post, **scene), CAMERA, pose))
     return views
 
 
@@ -143,6 +158,57 @@ def test_robust_mosaic_shows_the_ground_behind_the_post():
     rows, columns = ground_at(raster, 0.3 * np.cos(angle), 0.3 * np.sin(angle))
     shown = mosaic.rgba[rows, columns].astype(float)
     assert (shown[:, 0] < shown[:, 1]).all()  # green, not red
+
+
+def test_likeness_of_colours_and_grain():
+    grey, red = np.full(3, 100, np.float32), np.array([130, 100, 100], np.float32)
+    plain, up, down = np.float32(0), np.float32(40), np.float32(-40)
+    for d, s, t, expected in (
+        (grey, plain, plain, 1.0),
+        (grey, up, plain, 1.0),
+        (grey, up, up, 1 + 3 * 3200 / 3250),
+        (grey, up, down, 1 - 3 * 3200 / 3250),
+        (red, plain, plain, np.exp(-2.0)),
+    ):
+        assert likeness(grey, d, s, t, 15.0, 5.0, 3.0) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_tie_goes_to_the_side_whose_views_share_the_grain():
+    """Two views from the west agree in colour, two from the east as well, and show another."""
+    cameras = np.array([[-1.0, 0, 0.7], [-1.5, 0, 0.7], [1.0, 0, 0.7], [1.5, 0, 0.7]])
+    colours = np.repeat(np.array([60, 60, 120, 120], np.float32)[:, None], 3, axis=1)
+    slopes = np.array([30, 28, 30, -4], np.float32)
+    support = {}
+    for grain in (0.0, 3.0):
+        weights, backed = np.empty((2, 1, 1, 4), np.float32)
+        radii = np.zeros((1, 1, 4), np.float32)
+        vote(
+            colours[None, None],
+            slopes[None, None],
+            radii,
+            cameras,
+            *(0.0, 0.0, 0.02, 4.0, 15.0, 5.0, grain),
+            weights,
+            backed,
+        )
+        support[grain] = backed[0, 0]
+    west, east = support[0.0].reshape(2, 2)
+    np.testing.assert_allclose(west, east, rtol=1e-3)
+    assert support[3.0][:2].min() > 1.5 * support[3.0][2:].max()
+
+
+def test_a_tall_plain_post_does_not_outvote_grainy_ground():
+    """Higher than the cameras and dark, it looks alike from all sides; exposures stay equal."""
+    scene = {"ground_colours": gravel, "post_colour": (45, 45, 45), "post_at": (0, 0, 0.15, 0.9)}
+    views = ring(np.zeros(10), **scene)
+    raster = plan_raster(views, RESOLUTION)
+    mosaic = compose(views, raster, BLENDS["robust"])
+    np.testing.assert_allclose(survey(views, raster).exposure.log_gain, 0.0, atol=0.03)
+    angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    for radius in (0.4, 0.6, 0.8, 1.0):
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        shown = mosaic.rgba[ground_at(raster, x, y)][:, :3].astype(float)
+        assert (np.abs(shown - gravel(x, y)).mean(axis=1) > 40).mean() < 0.02
 
 
 def test_no_seams_where_exposures_differ():

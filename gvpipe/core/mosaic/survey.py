@@ -59,7 +59,7 @@ estimate of exposures: where both show ground, they show the same grain, and the
 SLOPE_NOISE = 5.0
 """Slopes of a cell (grey levels) down to which views differ by noise and registration."""
 
-GRAIN = 2.0
+GRAIN = 3.0
 """A view of the same colour counts this much more where it shows the same grain: an obstacle may
 have the colour of the ground, and look alike from all sides, but its grain lies elsewhere in
 every view."""
@@ -212,8 +212,8 @@ class _Surveyor:
         gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
         return np.exp(gain).astype(np.float32)
 
-    def _vote(self, look: Look, exposure: Exposure) -> tuple[Single, Single, Single]:
-        """Balanced colours, weights and support of a tile's views."""
+    def _vote(self, look: Look, exposure: Exposure, grain: float) -> tuple[Single, Single, Single]:
+        """Balanced colours, weights and support of a tile's views, shared grain at a weight."""
         brightness = self._brightness(look, exposure)
         colours = look.colours / brightness[..., None]
         weights, support = np.empty_like(look.radii), np.empty_like(look.radii)
@@ -229,7 +229,7 @@ class _Surveyor:
             REACH_HEIGHTS,
             LIKE,
             SLOPE_NOISE,
-            GRAIN,
+            grain,
             weights,
             support,
         )
@@ -240,7 +240,8 @@ class _Surveyor:
         look = self._look(tile)
         if not len(look.views):
             return np.empty((2, 0), np.int32)
-        colours, weights, support = self._vote(look, exposure)
+        # views from several sides must agree: grain may be that of an obstacle's foot or top
+        colours, weights, support = self._vote(look, exposure, 0.0)
         best = support.argmax(axis=2)[..., None]
         agreed = np.take_along_axis(support, best, axis=2)[..., 0]
         total = weights.sum(axis=2)
@@ -258,7 +259,7 @@ class _Surveyor:
         clean = np.zeros_like(look.radii)
         light, odds = np.full(clean.shape[:2], np.nan, np.float32), np.zeros(clean.shape[:2])
         if len(look.views):
-            colours, weights, support = self._vote(look, exposure)
+            colours, weights, support = self._vote(look, exposure, GRAIN)
             seen = look.radii >= 0
             known = likelihood[colour_bins(colours)]
             support = mean_around(support + COLOUR_WEIGHT * known, seen, MARGIN)
