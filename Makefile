@@ -76,7 +76,7 @@ format: $(DEV) ## format the code
 	$(BIN)/ruff format .
 
 bench: $(DEV) ## measure speed against named peers
-	@for f in tests/bench/bench_*.py; do echo "== $$f"; $(BIN)/python $$f || exit 1; done
+	@for f in tests/bench/bench_*.py; do echo "== $$f"; $(BIN)/python -m tests.bench.$$(basename $$f .py) || exit 1; done
 
 docs: $(DEV) ## render docs/ as a web site in runs/site
 	$(BIN)/mkdocs build --strict --quiet --site-dir runs/site

@@ -2,19 +2,16 @@
 
 import importlib
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self, cast
+from typing import Any, Literal, cast
 
 from gvpipe import __version__
 from gvpipe.artefacts import Artefact, read_artefact
 from gvpipe.config import Config
 from gvpipe.configfile import section_sha256
-from gvpipe.dataset import Dataset, open_dataset
+from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
-from gvpipe.featurestore import FeatureStore
 from gvpipe.names import escape
-from gvpipe.parallel import Workers
 from gvpipe.records import Body, Header, SkippedImage
 from gvpipe.report import log
 from gvpipe.stages.contract import Stage
@@ -106,59 +103,6 @@ class Chain:
             log.debug("read %s", escape(str(self.folder(stage) / body.file)))
             self._loaded[stage] = artefact
         return self._loaded[stage]
-
-
-def open_images(config: Config, jobs: int) -> Dataset:
-    """Open the images, and say which cannot be used.
-
-    Raises
-    ------
-    InputError, ConfigError
-        If a robot has no usable image, or the configuration names one that is not there.
-    """
-    try:
-        dataset = open_dataset(config, jobs=jobs)
-    except OSError as error:
-        raise InputError(f"{escape(str(error.filename))}: {error.strerror}") from error
-    for robot, entries in dataset.robots.items():
-        first = entries[0].camera
-        log.debug("%s: %d pictures of %dx%d", robot, len(entries), first.width, first.height)
-    for skipped in dataset.skipped:
-        log.warning("skipped %s: %s", skipped.image, skipped.reason)
-    return dataset
-
-
-class Session:
-    """What all commands of one run share: the images, and what was made of them.
-
-    Parameters
-    ----------
-    config : Config
-        The loaded configuration.
-    jobs : int
-        Worker processes or threads.
-    """
-
-    def __init__(self, config: Config, jobs: int):
-        self.config, self.jobs = config, jobs
-        self.features = FeatureStore()
-
-    @cached_property
-    def dataset(self) -> Dataset:
-        """The images, opened when they are first asked for; errors as of :func:`open_images`."""
-        return open_images(self.config, self.jobs)
-
-    @cached_property
-    def workers(self) -> Workers[Dataset]:
-        """Processes that have the images."""
-        return Workers(self.dataset, self.jobs)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if "workers" in self.__dict__:
-            self.workers.stop()
 
 
 def unreadable(dataset: Dataset) -> tuple[SkippedImage, ...]:

@@ -2,6 +2,12 @@
 
 from typing import ClassVar
 
+EXIT_CODES = (
+    "Exit codes: 0 done; 1 a defect in gvpipe; 2 wrong command line; 3 wrong configuration or "
+    "calibration; 4 an input is missing, unreadable or stale; 5 ran, but there is no result; "
+    "6 the output cannot be written; 7 a resource limit was hit; 130 interrupted; 143 terminated."
+)
+
 
 class GvpipeError(Exception):
     """Base of all expected failures; printed as one message, never as a traceback."""

@@ -3,29 +3,33 @@
 from collections.abc import Collection, Iterator
 from math import prod
 
-from gvpipe.chain import Chain, Session, stage_module
+from gvpipe.chain import Chain, stage_module
 from gvpipe.config import Config
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
 from gvpipe.memory import PROCESS_BYTES
 from gvpipe.report import Reporter
+from gvpipe.session import Session
 from gvpipe.stages.match import planned_pairs
 
-START_S = 1.0
-EXTRACT_S_PER_MPX = 0.35
-MATCH_S = 0.05
-LINK_S = 0.6
-LINK_KNOWN_S = 0.1
-VALIDATE_S = 0.2
+START_S = 0.75
+DESCRIBE_S_PER_MPX = 0.05
+EXTRACT_S_PER_MPX = 0.13
 COMPOSE_S_PER_MPX = 0.15
-CARVE_S_PER_MPX = 9.0
-"""CPU seconds of the steps on a core of 2024: to start, for each Mpx of pictures, for each pair,
-for each picture that is linked with others, tried against another robot's, or is given all its
-links; measured on sets of 8 to 60 pictures of 0.3 to 0.9 Mpx, right within a factor of two."""
+CARVE_S_PER_MPX = 5.0
+MATCH_S = 0.06
+DECOMPOSE_S = 0.003
+VALIDATE_S = 0.11
+LINK_S = 0.15
+LINK_KNOWN_S = 0.08
+"""CPU seconds on a core of 2024: to start; for each Mpx of pictures; for each pair; for each
+picture tried against another robot's, linked with others, or that has all its links. Measured on
+sets of 8 to 60 pictures of 0.3 to 0.7 Mpx, each command alone with its loops compiled: right within
+a factor of two there. In one run of several commands, those after the first cost less."""
 
-BYTES_PER_PIXEL = 11
+BYTES_PER_PIXEL = 24
 BYTES_PER_VOXEL = 42
-"""Memory that the reconstruction takes beside its libraries, measured likewise."""
+"""Memory of the reconstruction beside its libraries, measured likewise: within a quarter."""
 
 
 def plan_stage(
@@ -105,17 +109,19 @@ def estimate(name: str, config: Config, dataset: Dataset, jobs: int) -> tuple[fl
     linked = config.match.pairs == "exhaustive"
     work = {
         "match": EXTRACT_S_PER_MPX * mpx + MATCH_S * len(planned_pairs(config, dataset)),
-        "localize": MATCH_S * len(planned_pairs(config, dataset)),
-        "overlap": EXTRACT_S_PER_MPX * mpx + VALIDATE_S * images * (len(dataset.robots) > 1),
+        "localize": DECOMPOSE_S * len(planned_pairs(config, dataset)),
+        "overlap": DESCRIBE_S_PER_MPX * mpx
+        + (EXTRACT_S_PER_MPX * mpx + VALIDATE_S * images) * (len(dataset.robots) > 1),
         "slam": LINK_KNOWN_S * images if linked else LINK_S * images + EXTRACT_S_PER_MPX * mpx,
         "mosaic": COMPOSE_S_PER_MPX * mpx,
         "reconstruct": CARVE_S_PER_MPX * mpx,
     }
-    processes = jobs + 1 if jobs > 1 and name in ("match", "overlap", "slam") else 1
+    parallel = stage_module(name).PARALLEL
+    processes = jobs + 1 if jobs > 1 and parallel == "processes" else 1
     size = PROCESS_BYTES * processes
     if name == "reconstruct":
         size += BYTES_PER_PIXEL * pixels + BYTES_PER_VOXEL * prod(config.reconstruct.grid)
-    return START_S + work[name] / jobs, size
+    return START_S + work[name] / (jobs if parallel else 1), size
 
 
 def _upstream(name: str, config: Config) -> Iterator[str]:

@@ -5,10 +5,11 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.logging import RichHandler
 from rich.progress import (
@@ -22,6 +23,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from gvpipe.errors import UsageError
+
 HEARTBEAT_S = 30.0
 """Without a terminal, long work says this often that it is alive."""
 
@@ -31,6 +34,16 @@ log = logging.getLogger("gvpipe")
 def printable(text: str) -> str:
     """Escape control characters, so that no file name can steer the terminal."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def shortest(path: Path) -> str:
+    """Name a path from the current folder on if it lies below it, else in full; without ``..``."""
+    try:
+        here = Path.cwd()
+    except OSError:  # the folder is gone
+        return str(path)
+    full = path.resolve() if ".." in path.parts else path.absolute()
+    return str(full.relative_to(here) if full.is_relative_to(here) else full)
 
 
 class _Lines(logging.Formatter):
@@ -90,9 +103,16 @@ class Reporter:
         Also details.
     log_json : bool
         Log lines as JSON objects on standard error.
+
+    Raises
+    ------
+    UsageError
+        If it is to say both less and more.
     """
 
     def __init__(self, *, quiet: bool = False, verbose: bool = False, log_json: bool = False):
+        if quiet and verbose:
+            raise UsageError("--quiet and --verbose exclude each other")
         self.quiet = quiet
         self._out = _Console(soft_wrap=True, highlight=False)
         self._err = _Console(stderr=True, soft_wrap=True, highlight=False)
@@ -140,14 +160,17 @@ class Reporter:
         if self.quiet:
             return
         table = Table(title=None, box=None, show_header=False, pad_edge=False)
-        table.add_column(style="bold")
+        keys = [printable(key) for key, _ in rows] + ["wrote"] * bool(paths)
+        width = max(map(cell_len, keys), default=0)
+        table.add_column(style="bold", min_width=width)
         table.add_column(overflow="fold")
-        for key, value in rows:
-            table.add_row(Text(printable(key)), Text(printable(value)))
-        for path in paths:
-            table.add_row(Text("wrote"), Text(printable(str(path))))
+        for key, (_, value) in zip(keys, rows, strict=False):
+            table.add_row(Text(key), Text(printable(value)))
         self._out.print(Text(title, style="bold"))
         self._out.print(table)
+        for path in paths:  # not in the table, which would wrap them: a path is to be copied
+            head = Text("wrote".ljust(width + 2), style="bold")
+            self._out.print(head + Text(printable(shortest(path)), style="not bold"))
 
 
 class Ticker:
@@ -169,7 +192,7 @@ class Ticker:
 class _BarTicker(Ticker):
     """Moves a progress bar instead."""
 
-    def __init__(self, what: str, total: int, move) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, what: str, total: int, move: Callable[[int], object]):
         super().__init__(what, total)
         self._move = move
 

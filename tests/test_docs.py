@@ -130,6 +130,33 @@ def texts_of_the_code() -> list[str]:
     return found
 
 
+def test_the_readme_lists_every_key_with_its_default_first() -> None:
+    table = dict(re.findall(r"^\| `?(.+?)`? \| (.+) \|$", (ROOT / "README.md").read_text(), re.M))
+    fields = {
+        name: type(field.default).model_fields
+        for name, field in Config.model_fields.items()
+        if hasattr(type(field.default), "model_fields")
+    }
+    fields["cameras.NAME"] = CameraConfig.model_fields
+    fields["robots.NAME"] = RobotConfig.model_fields
+    fields["top level"] = {key: Config.model_fields[key] for key in ("output", "seed")}
+    for section, keys in fields.items():
+        row = table[section]
+        for key, field in keys.items():
+            assert f"`{key}`" in row, f"{section}.{key} is missing"
+            if field.is_required() or field.default in (None, (), {}):
+                continue
+            shown = re.search(rf"`{key}` \(([^)]*)\)", row)
+            assert shown, f"{section}.{key} without its default"
+            default = str(field.default).strip("()")
+            words = shown[1].replace("`", "").lower()
+            first = re.match(r"[-\w./]+(?:, \d+)*", words)
+            assert first, words
+            same = default.lower() == first[0]
+            same |= isinstance(field.default, float) and float(first[0]) == field.default
+            assert same, f"{section}.{key}: {words!r}, but the default is {default}"
+
+
 def test_every_message_is_one_that_gvpipe_prints() -> None:
     page = (DOCS / "troubleshooting.md").read_text()
     messages = []

@@ -331,7 +331,7 @@ def test_running_out_of_memory_ends_with_7(
     def greedy(*arguments: object, **options: object) -> None:
         raise np.exceptions.AxisError(0) if not arguments else MemoryError
 
-    monkeypatch.setattr("gvpipe.chain.open_dataset", greedy)
+    monkeypatch.setattr("gvpipe.session.open_dataset", greedy)
     assert run(["match", str(small), "--out", str(tmp_path)]) == 7
     assert "memory" in capsys.readouterr().err
 
@@ -480,7 +480,7 @@ def test_a_defect_shows_neither_variables_nor_control_characters(
         password = "sesame" + str(len(arguments))
         raise RuntimeError(f"\x1b[31mred of {len(password)}")
 
-    monkeypatch.setattr("gvpipe.chain.open_dataset", broken)
+    monkeypatch.setattr("gvpipe.session.open_dataset", broken)
     assert run(["match", str(small), "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err
     assert "RuntimeError" in said

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from gvpipe.cli import run
+from gvpipe.report import Reporter
 from tests.conftest import TinySet
 
 
@@ -58,3 +59,22 @@ def test_a_run_of_several_commands_says_each_warning_once(
     shown = capsys.readouterr()
     assert "gvpipe localize" in shown.out
     assert shown.err.count("skipped A/2.png") == 1
+
+
+def test_paths_can_be_copied_whatever_the_terminal_is_wide(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("COLUMNS", "40")
+    deep = "/".join(["a folder"] * 20)
+    paths = [here / ".." / "here" / deep / "m.json", here / ".." / "other.json", Path("own.json")]
+    Reporter().result("gvpipe x", [("images", "2 used")], paths)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:] == [
+        "images  2 used",
+        f"wrote   {deep}/m.json",
+        f"wrote   {tmp_path}/other.json",
+        "wrote   own.json",
+    ]

@@ -9,7 +9,8 @@ from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.geometry.twoview import PairPrior, TwoView, fit_two_views, two_views
 from gvpipe.core.kernels.matching import SIZE, nearest_two
 from gvpipe.core.matching.features import MatchOptions
-from gvpipe.core.matching.rivals import plane_at, repetitions, shifted
+from gvpipe.core.matching.lower_plane import plane_at
+from gvpipe.core.matching.rivals import repetitions, shifted
 from gvpipe.core.matching.sift import candidate_matches, extract_sift
 from gvpipe.core.types import Camera, Mount, Pose
 from tests.synthetic import CAMERA, Scene, texture, tiles, view_at

@@ -17,7 +17,7 @@ from gvpipe.core.mosaic.compose import BAND, Composition, compose
 from gvpipe.core.mosaic.raster import MosaicRaster, max_depth, outline, plan_raster
 from gvpipe.core.types import Camera, Mount, PosedView
 from gvpipe.errors import InputError
-from gvpipe.formats.raster import PngWriter, png_bytes, read_png, read_world_file, world_file
+from gvpipe.formats.raster import PngWriter, png_bytes, read_png, world_file
 
 CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)
 RESOLUTION = 0.01
@@ -279,12 +279,12 @@ def test_png_refuses_strips_that_do_not_fit():
     assert png_bytes(np.zeros((1, 1, 3), np.uint8)).endswith(b"IEND\xaeB`\x82")
 
 
-def test_world_file_round_trip(ring):
+def test_world_file_places_the_picture(ring):
     matrix = plan_raster(ring, RESOLUTION).map_from_pixel
     text = world_file(matrix)
     lines = [float(v) for v in text.split()]
     assert lines[0] == RESOLUTION
     assert lines[3] == -RESOLUTION
-    np.testing.assert_array_equal(read_world_file(text), matrix)
+    np.testing.assert_array_equal(np.array(lines).reshape(3, 2).T, matrix[:2])
     with pytest.raises(ValueError, match="affine"):
         world_file(np.array([[1, 0, 0], [0, 1, 0], [0.1, 0, 1.0]]))

@@ -11,7 +11,7 @@ from gvpipe.commands.output import finish
 from gvpipe.commands.trajectories import paired
 from gvpipe.core.evaluation.mesh_error import Surface, sample_surface, surface_errors, volume_iou
 from gvpipe.core.evaluation.trajectory_error import Alignment, Similarity, align
-from gvpipe.core.types import Rejected
+from gvpipe.core.types import Float, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.glb import GLTF_FROM_MAP
 from gvpipe.names import escape
@@ -63,31 +63,15 @@ def mesh(
         If a file is wrong or holds no surface.
     """
     found, true = _read_surface(estimate), _read_surface(truth)
-    fit: Similarity | Rejected = align([], [], "none")
     if poses is not None:
-        first, second, _ = paired(*poses, max_gap_s=0.02)
-        fit = align(first, second, how)
-    if isinstance(fit, Rejected):
-        raise InputError(f"--align {how}: {fit.reason}")
-    found = Surface(fit.points(found.vertices), found.faces)
-    clouds = []
-    for number, (path, surface) in enumerate(((estimate, found), (truth, true))):
-        try:
-            cloud = sample_surface(surface, SAMPLES, np.random.default_rng([seed, number]))
-        except ValueError as error:
-            raise InputError(f"{escape(str(path))}: {error}") from error
-        cloud = cloud[cloud[:, 2] >= above_m] if above_m > 0 else cloud
-        if not len(cloud):
-            raise InputError(f"{escape(str(path))}: no surface above {above_m:g} m")
-        clouds.append(cloud)
+        found = Surface(_fit(poses, how).points(found.vertices), found.faces)
+    clouds = [
+        _sampled(path, surface, above_m, np.random.default_rng([seed, k]))
+        for k, (path, surface) in enumerate(((estimate, found), (truth, true)))
+    ]
     errors = surface_errors(clouds[0], clouds[1], tolerance_m)
-    document: dict[str, Any] = {
-        "schema": "gvpipe/evaluate-mesh/1",
-        "tolerance_m": tolerance_m,
-        "above_m": above_m,
-        "align": how if poses else "none",
-        **asdict(errors),
-    }
+    document: dict[str, Any] = {"schema": "gvpipe/evaluate-mesh/1", "tolerance_m": tolerance_m}
+    document |= {"above_m": above_m, "align": how if poses else "none", **asdict(errors)}
     rows = [
         ("F-score", f"{errors.fscore:.4f} at {1e3 * tolerance_m:g} mm"),
         ("precision, recall", f"{errors.precision:.4f}, {errors.recall:.4f}"),
@@ -104,6 +88,27 @@ def mesh(
     except ValueError as error:
         rows.append(("volume in common", f"not measured: {error}"))
     finish("evaluate mesh", rows, document, json_path, reporter)
+
+
+def _fit(poses: tuple[Path, Path], how: Alignment) -> Similarity:
+    """Align two trajectories."""
+    first, second, _ = paired(*poses, max_gap_s=0.02)
+    fit = align(first, second, how)
+    if isinstance(fit, Rejected):
+        raise InputError(f"--align {how}: {fit.reason}")
+    return fit
+
+
+def _sampled(path: Path, surface: Surface, above_m: float, rng: np.random.Generator) -> Float:
+    """Draw points on a surface; those near the ground are left out."""
+    try:
+        cloud = sample_surface(surface, SAMPLES, rng)
+    except ValueError as error:
+        raise InputError(f"{escape(str(path))}: {error}") from error
+    cloud = cloud[cloud[:, 2] >= above_m] if above_m > 0 else cloud
+    if not len(cloud):
+        raise InputError(f"{escape(str(path))}: no surface above {above_m:g} m")
+    return cloud
 
 
 def _read_surface(path: Path) -> Surface:

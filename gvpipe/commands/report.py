@@ -7,7 +7,7 @@ from string import Template
 
 from gvpipe import __version__
 from gvpipe.artefacts import canonical_json, publish, schema_of, staging
-from gvpipe.chain import STAGES, Chain, open_images, scale_source, stage_module, unreadable
+from gvpipe.chain import STAGES, Chain, scale_source, stage_module, unreadable
 from gvpipe.commands.report_figures import Json
 from gvpipe.commands.report_pairs import thumbnails
 from gvpipe.commands.report_pictures import packed_library
@@ -20,6 +20,7 @@ from gvpipe.errors import InputError
 from gvpipe.output import locked, writing_to
 from gvpipe.records import Header, ReportBody, ReportedStage
 from gvpipe.report import Reporter
+from gvpipe.session import open_images
 
 PAGE = "report.html"
 

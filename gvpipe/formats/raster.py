@@ -166,18 +166,3 @@ def world_file(map_from_pixel: NDArray[np.float64]) -> str:
         raise ValueError("a world file holds affine maps only")
     values = (m[0, 0], m[1, 0], m[0, 1], m[1, 1], m[0, 2], m[1, 2])
     return "".join(f"{float(v)!r}\n" for v in values)
-
-
-def read_world_file(text: str) -> NDArray[np.float64]:
-    """Read a world file back to its (3, 3) map from pixels.
-
-    Raises
-    ------
-    ValueError
-        If the text is not six finite numbers.
-    """
-    a, d, b, e, c, f = (float(v) for v in text.split())
-    matrix = np.array([[a, b, c], [d, e, f], [0.0, 0.0, 1.0]])
-    if not np.isfinite(matrix).all():
-        raise ValueError("a world file of numbers that are not finite")
-    return matrix

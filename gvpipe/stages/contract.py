@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, cast
+from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
 from gvpipe.artefacts import Artefact
 from gvpipe.checkpoint import Checkpoints
@@ -42,13 +42,13 @@ class Context:
     jobs : int
         Threads it may use; results do not depend on it.
     workers : Workers
-        As many processes, with the dataset; a stage that does without them may stop them.
+        As many processes, which have the dataset.
     progress : callable
         ``progress(what, total)`` gives a context manager with a ticker.
     checkpoints : Checkpoints
         Finished items of an interrupted run.
     features : FeatureStore
-        What other stages of this run made of the same pictures.
+        Made of the same pictures by other stages of this run.
     """
 
     config: Config
@@ -94,6 +94,9 @@ class Stage(Protocol):
     """Configuration sections the stage reads; a change elsewhere leaves its artefact fresh."""
     BODY: type[Body]
     """Record it writes."""
+    PARALLEL: Literal["processes", "threads"] | None
+    """How it uses several cores. Threads share what they hold: a stage that works by them is one
+    that needs memory, and has it to itself."""
 
     def needs(self, config: Config) -> tuple[type[Body], ...]:
         """Artefacts it reads."""

@@ -25,6 +25,7 @@ from gvpipe.stages.contract import Context, Outcome
 
 SECTIONS = ("cameras", "robots", "match", "seed")
 BODY = LocalizeBody
+PARALLEL = None
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:

@@ -12,12 +12,13 @@ from gvpipe.config import Config
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
-from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import Body, MatchBody, PairRow
 from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.pairing import count_steps, match_pairs
 
 SECTIONS = ("cameras", "robots", "match", "seed")
 BODY = MatchBody
+PARALLEL = "processes"
 
 
 @dataclass(frozen=True)
@@ -62,20 +63,8 @@ def planned_pairs(config: Config, dataset: Dataset) -> list[tuple[str, str]]:
 def run(context: Context) -> Outcome[MatchBody, MatchPoints]:
     """Match every planned pair."""
     pairs = planned_pairs(context.config, context.dataset)
-    steps = len({image for pair in pairs for image in pair}) + len(pairs)
-    with context.progress("match", steps) as ticker:
-        verdicts = list(
-            match_pairs(
-                context.dataset,
-                pairs,
-                options_from(context.config),
-                seed=context.config.seed,
-                workers=context.workers,
-                checkpoints=context.checkpoints,
-                store=context.features,
-                on_step=ticker.advance,
-            )
-        )
+    with context.progress("match", count_steps(pairs)) as ticker:
+        verdicts = list(match_pairs(context, pairs, ticker.advance))
     rows = tuple(pair_row(*pair, verdict) for pair, verdict in zip(pairs, verdicts, strict=True))
     empty = np.empty((0, 2))
     points = MatchPoints(

@@ -25,6 +25,7 @@ from gvpipe.stages.contract import Context, Outcome, Ticker, main_component
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "mosaic", "seed")
 BODY = MosaicBody
+PARALLEL = "threads"
 
 PYRAMID_SIDE = 8192
 """Mosaics larger than this, in pixels, also come as a tiled TIFF: picture viewers begin to fail."""
@@ -45,7 +46,6 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 
 def run(context: Context) -> Outcome[MosaicBody, Maps]:
     """Survey the pictures of every component."""
-    context.workers.stop()  # threads do it; memory is what is short
     settings = context.config.mosaic
     slam = context.artefact(SlamBody)
     rows: list[MosaicPart] = []

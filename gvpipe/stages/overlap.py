@@ -24,13 +24,14 @@ from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.formats.plots import curves_svg, heat_map
 from gvpipe.formats.raster import png_bytes
-from gvpipe.pairing import match_pairs, options_from
 from gvpipe.parallel import Crashed
 from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow, UnregisteredRow
 from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.pairing import count_steps, match_pairs
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "seed")
 BODY = OverlapBody
+PARALLEL = "processes"
 
 MIN_COMMON_GROUND = 0.08
 """Share of either picture's ground that both must see for an overlap to count."""
@@ -196,17 +197,7 @@ def _match(
     on_step: Callable[[], object],
 ) -> list[PairMatch | Rejected]:
     """Give the verdicts on some pairs."""
-    config = context.config
-    verdicts = match_pairs(
-        context.dataset,
-        pairs,
-        options_from(config),
-        seed=config.seed,
-        workers=context.workers,
-        checkpoints=context.checkpoints,
-        store=context.features,
-        on_step=on_step,
-    )
+    verdicts = match_pairs(context, pairs, on_step)
     return [_sharing(p, verdict, looks) for p, verdict in zip(pairs, verdicts, strict=True)]
 
 
@@ -215,8 +206,7 @@ def _all(
 ) -> list[list[PairMatch | Rejected]]:
     """Validate every candidate."""
     pairs = [pair for meeting in meetings for pair in meeting.pairs]
-    steps = len({image for pair in pairs for image in pair}) + len(pairs)
-    with context.progress("validate", steps) as ticker:
+    with context.progress("validate", count_steps(pairs)) as ticker:
         verdicts = iter(_match(context, pairs, looks, ticker.advance))
         return [[next(verdicts) for _ in meeting.pairs] for meeting in meetings]
 

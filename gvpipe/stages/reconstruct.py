@@ -23,6 +23,7 @@ from gvpipe.stages.reconstruct_methods import METHODS, grid_over
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "mosaic", "reconstruct", "seed")
 BODY = ReconstructBody
+PARALLEL = "threads"
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,6 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 
 def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     """Find where obstacles stand, then their surfaces."""
-    context.workers.stop()  # threads do it; memory is what is short
     settings = context.config.reconstruct
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()

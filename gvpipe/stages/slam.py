@@ -13,7 +13,6 @@ from gvpipe.core.slam.loops import gap_candidates, loop_candidates, without_brid
 from gvpipe.core.types import Camera, Float, PairMatch, Pose
 from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.errors import InputError
-from gvpipe.pairing import match_pairs, options_from
 from gvpipe.records import (
     Body,
     ClosingRow,
@@ -26,11 +25,13 @@ from gvpipe.records import (
     UnregisteredRow,
 )
 from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.pairing import count_steps, match_pairs
 from gvpipe.stages.slam_control import control_points, control_rows, control_summary
 from gvpipe.stages.slam_files import SlamEvidence, write_files
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
+PARALLEL = "processes"
 
 LOOP_ROUNDS = 2
 """Searches for more links: the second sees the map that the first one's loops have mended."""
@@ -183,18 +184,8 @@ def _unconfirmed(
 def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
     """Match proposed pairs and yield the links found."""
     place = _places(context)
-    steps = len({image for pair in pairs for image in pair}) + len(pairs)
-    with context.progress("loops", steps) as ticker:
-        verdicts = match_pairs(
-            context.dataset,
-            pairs,
-            options_from(context.config),
-            seed=context.config.seed,
-            workers=context.workers,
-            checkpoints=context.checkpoints,
-            store=context.features,
-            on_step=ticker.advance,
-        )
+    with context.progress("loops", count_steps(pairs)) as ticker:
+        verdicts = match_pairs(context, pairs, ticker.advance)
         for pair, verdict in zip(pairs, verdicts, strict=True):
             if isinstance(verdict, PairMatch):
                 kind = link_kind(place, *pair)

@@ -1,17 +1,14 @@
-"""Command lines of the tools around the chain; what they do is in :mod:`gvpipe.commands`.
+"""Command lines, one group a module; what they do is in the layers below.
 
 Nothing heavy is imported here before a command runs, so that ``gvpipe --help`` stays quick.
 """
 
 import typer
 
-from gvpipe.tools import calibrate, evaluate, init, report, synth
+from gvpipe.tools import calibrate, chain, config, evaluate, init, report, synth
 
 
-def add_tools(app: typer.Typer) -> None:
-    """Give the command line its tools."""
-    init.add(app)
-    calibrate.add(app)
-    synth.add(app)
-    evaluate.add(app)
-    report.add(app)
+def add_commands(app: typer.Typer) -> None:
+    """Give the command line all it can do."""
+    for group in (config, chain, init, calibrate, synth, evaluate, report):
+        group.add(app)

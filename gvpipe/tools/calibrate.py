@@ -1,13 +1,12 @@
 """Command lines of ``gvpipe calibrate``."""
 
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
 from gvpipe.errors import UsageError
-from gvpipe.tools.options import LogJson, Quiet, Verbose, argument, option, use_one_blas_thread
+from gvpipe.tools.options import Jobs, LogJson, Quiet, Verbose, argument, option, some_jobs
 
 Style = Annotated[
     Literal["opencv", "ros", "kalibr", "colmap", "gvpipe"],
@@ -51,21 +50,17 @@ def calibrate_ground(
     ] = None,
     out: Out = None,
     style: Style = "opencv",
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Threads.", show_default="all cores")
-    ] = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
     log_json: LogJson = False,
 ) -> None:
     """Calibrate from the ground."""
-    use_one_blas_thread()
     from gvpipe.commands.calibrate import ground
     from gvpipe.report import Reporter
 
     reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
-    cores = len(os.sched_getaffinity(0))
-    ground(photos, reporter, jobs=jobs or cores, focal_px=focal, out=out, style=style)
+    ground(photos, reporter, jobs=some_jobs(jobs), focal_px=focal, out=out, style=style)
 
 
 def calibrate_board(

@@ -1,12 +1,11 @@
 """Command line of ``gvpipe init``."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gvpipe.tools.options import LogJson, Quiet, Verbose, argument, option, use_one_blas_thread
+from gvpipe.tools.options import Jobs, LogJson, Quiet, Verbose, argument, option, some_jobs
 
 
 def add(app: typer.Typer) -> None:
@@ -47,15 +46,12 @@ def init(
         Path | None, option("--out", "Configuration to write.", metavar="CONFIG")
     ] = None,
     force: Annotated[bool, option("--force", "Replace an existing configuration.")] = False,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Threads.", show_default="all cores")
-    ] = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
     log_json: LogJson = False,
 ) -> None:
     """Write a configuration."""
-    use_one_blas_thread()
     from gvpipe.commands.init import run
     from gvpipe.report import Reporter
 
@@ -68,5 +64,5 @@ def init(
         focal_px=focal,
         calibrate=calibrate,
         force=force,
-        jobs=jobs or len(os.sched_getaffinity(0)),
+        jobs=some_jobs(jobs),
     )

@@ -1,20 +1,10 @@
-"""Options that several tools share."""
+"""Options that several commands share."""
 
 import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
-
-
-def use_one_blas_thread() -> None:
-    """Keep small linear systems on one core; must run before numpy is imported.
-
-    On a busy machine the threads that wait for each other cost many times what they save, and
-    sums would depend on their number.
-    """
-    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
 
 
 def option(name: str, help_text: str, **more: object) -> typer.models.OptionInfo:
@@ -29,6 +19,22 @@ def argument(help_text: str, metavar: str) -> typer.models.ArgumentInfo:
     return made
 
 
+def some_jobs(jobs: int | None) -> int:
+    """Take the number of cores where `--jobs` is left out."""
+    return jobs or len(os.sched_getaffinity(0))
+
+
+ConfigPath = Annotated[Path, argument("Configuration, a YAML file.", "CONFIG")]
+OutDir = Annotated[
+    Path | None,
+    option("--out", "Output folder.", metavar="DIR", show_default="`output` of CONFIG"),
+]
+Overrides = Annotated[
+    list[str] | None, option("--set", "Override one key; may be repeated.", metavar="KEY=VALUE")
+]
+Jobs = Annotated[
+    int | None, typer.Option("--jobs", "-j", min=1, help="Cores to use.", show_default="all")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more.")]
 LogJson = Annotated[bool, typer.Option("--log-json", help="Log as JSON lines on standard error.")]

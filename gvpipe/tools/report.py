@@ -1,12 +1,17 @@
 """Command line of ``gvpipe report``."""
 
-import os
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
-from gvpipe.tools.options import LogJson, Quiet, Verbose, argument, option, use_one_blas_thread
+from gvpipe.tools.options import (
+    ConfigPath,
+    Jobs,
+    LogJson,
+    OutDir,
+    Overrides,
+    Quiet,
+    Verbose,
+    some_jobs,
+)
 
 
 def add(app: typer.Typer) -> None:
@@ -21,24 +26,15 @@ def add(app: typer.Typer) -> None:
 
 
 def report(
-    config: Annotated[Path, argument("Configuration, a YAML file.", "CONFIG")],
-    out: Annotated[
-        Path | None,
-        option("--out", "Output folder.", metavar="DIR", show_default="`output` of CONFIG"),
-    ] = None,
-    overrides: Annotated[
-        list[str] | None,
-        option("--set", "Override one key; may be repeated.", metavar="KEY=VALUE"),
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Threads.", show_default="all cores")
-    ] = None,
+    config: ConfigPath,
+    out: OutDir = None,
+    overrides: Overrides = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
     log_json: LogJson = False,
 ) -> None:
     """Write the report of a run."""
-    use_one_blas_thread()
     from gvpipe.commands.report import run
     from gvpipe.configfile import load_config
     from gvpipe.report import Reporter
@@ -46,5 +42,5 @@ def report(
     run(
         load_config(config, tuple(overrides or ()), out),
         Reporter(quiet=quiet, verbose=verbose, log_json=log_json),
-        jobs=jobs or len(os.sched_getaffinity(0)),
+        jobs=some_jobs(jobs),
     )

@@ -12,21 +12,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gvpipe.tools.options import use_one_blas_thread
+import cv2
+import numpy as np
 
-use_one_blas_thread()
-
-import cv2  # noqa: E402
-import numpy as np  # noqa: E402
-
-from gvpipe.configfile import load_config  # noqa: E402
-from gvpipe.core.geometry.homography import apply, transfer_errors  # noqa: E402
-from gvpipe.core.matching.features import MatchOptions  # noqa: E402
-from gvpipe.core.matching.matchers import MATCHERS, extract, match_views  # noqa: E402
-from gvpipe.core.types import Camera, Float, Image, PairMatch, View  # noqa: E402
-from gvpipe.dataset import open_dataset  # noqa: E402
-from gvpipe.stages.match import planned_pairs  # noqa: E402
-from tests.synthetic import Scene, common_ground, texture, true_homography, view_at  # noqa: E402
+from gvpipe.configfile import load_config
+from gvpipe.core.geometry.homography import apply, transfer_errors
+from gvpipe.core.matching.features import MatchOptions
+from gvpipe.core.matching.matchers import MATCHERS, extract, match_views
+from gvpipe.core.types import Camera, Float, Image, PairMatch, View
+from gvpipe.dataset import open_dataset
+from gvpipe.stages.match import planned_pairs
+from tests.synthetic import Scene, common_ground, texture, true_homography, view_at
 
 CAMERA = Camera(width=640, height=480, fx=545.0, fy=545.0, cx=319.5, cy=239.5)
 TARGETS = {"sift": 0.5, "sift cached": 0.15}

@@ -12,21 +12,17 @@ from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, product
 from pathlib import Path
 
-from gvpipe.tools.options import use_one_blas_thread
+import numpy as np
 
-use_one_blas_thread()
-
-import numpy as np  # noqa: E402
-
-from gvpipe.core.geometry.ground import pixel_from_plane  # noqa: E402
-from gvpipe.core.geometry.homography import apply, transfer_errors  # noqa: E402
-from gvpipe.core.matching.features import Features, MatchOptions  # noqa: E402
-from gvpipe.core.matching.matchers import extract, match_views  # noqa: E402
-from gvpipe.core.matching.patches import MAX_RANGE  # noqa: E402
-from gvpipe.core.matching.verdict import WRONG_PX  # noqa: E402
-from gvpipe.core.types import Float, PairMatch, Pose, View  # noqa: E402
-from tests.bench.charts import Curve, Panel, draw  # noqa: E402
-from tests.synthetic import (  # noqa: E402
+from gvpipe.core.geometry.ground import pixel_from_plane
+from gvpipe.core.geometry.homography import apply, transfer_errors
+from gvpipe.core.matching.features import Features, MatchOptions
+from gvpipe.core.matching.matchers import extract, match_views
+from gvpipe.core.matching.patches import MAX_RANGE
+from gvpipe.core.matching.verdict import WRONG_PX
+from gvpipe.core.types import Float, PairMatch, Pose, View
+from tests.bench.charts import Curve, Panel, draw
+from tests.synthetic import (
     CAMERA,
     Box,
     Scene,

@@ -14,6 +14,38 @@ def _turn(a: float, b: float) -> float:
 
 
 @kernel
+def _through(pixel_from_ground: Float, c: float, s: float, x: float, y: float, out: Float) -> None:
+    """Fill `out` with the map that applies a similarity before another map."""
+    for r in range(3):
+        p, q, o = pixel_from_ground[r, 0], pixel_from_ground[r, 1], pixel_from_ground[r, 2]
+        out[r, 0], out[r, 1], out[r, 2] = p * c + q * s, q * c - p * s, p * x + q * y + o
+
+
+@kernel
+def _agreement(
+    h: Float, ground_i: Float, pixels_j: Float, turn: Float, log_growth: Float,
+    yaw: float, log_scale: float, max_turn: float, max_log_growth: float, square: float,
+) -> float:  # fmt: skip
+    """Sum of what the matches count that a map takes near their counterparts."""
+    score = 0.0
+    for n in range(len(ground_i)):
+        gx, gy = ground_i[n, 0], ground_i[n, 1]
+        w = h[2, 0] * gx + h[2, 1] * gy + h[2, 2]
+        if w <= 1e-9:
+            continue
+        du = (h[0, 0] * gx + h[0, 1] * gy + h[0, 2]) / w - pixels_j[n, 0]
+        dv = (h[1, 0] * gx + h[1, 1] * gy + h[1, 2]) / w - pixels_j[n, 1]
+        error = du * du + dv * dv
+        if (
+            error < square
+            and abs(log_growth[n] - log_scale) < max_log_growth
+            and _turn(turn[n], yaw) < max_turn
+        ):
+            score += 1.0 - error / square
+    return score
+
+
+@kernel
 def score_pairs(
     draws: NDArray[np.int64],
     ground_i: Float,
@@ -73,28 +105,11 @@ def score_pairs(
         c, s = scale * np.cos(yaw), scale * np.sin(yaw)
         x = ground_j[a, 0] - c * ground_i[a, 0] + s * ground_i[a, 1]
         y = ground_j[a, 1] - s * ground_i[a, 0] - c * ground_i[a, 1]
-        for r in range(3):
-            p, q, o = (
-                pixel_j_from_ground_j[r, 0],
-                pixel_j_from_ground_j[r, 1],
-                pixel_j_from_ground_j[r, 2],
-            )
-            h[r, 0], h[r, 1], h[r, 2] = p * c + q * s, q * c - p * s, p * x + q * y + o
-        score = 0.0
-        for n in range(len(ground_i)):
-            gx, gy = ground_i[n, 0], ground_i[n, 1]
-            w = h[2, 0] * gx + h[2, 1] * gy + h[2, 2]
-            if w <= 1e-9:
-                continue
-            du = (h[0, 0] * gx + h[0, 1] * gy + h[0, 2]) / w - pixels_j[n, 0]
-            dv = (h[1, 0] * gx + h[1, 1] * gy + h[1, 2]) / w - pixels_j[n, 1]
-            error = du * du + dv * dv
-            if (
-                error < square
-                and abs(log_growth[n] - log_scale) < max_log_growth
-                and _turn(turn[n], yaw) < max_turn
-            ):
-                score += 1.0 - error / square
+        _through(pixel_j_from_ground_j, c, s, x, y, h)
+        score = _agreement(
+            h, ground_i, pixels_j, turn, log_growth,
+            yaw, log_scale, max_turn, max_log_growth, square,
+        )  # fmt: skip
         found[t, 0], found[t, 1], found[t, 2], found[t, 3] = score, yaw, x, y
         found[t, 4] = log_scale
     return found

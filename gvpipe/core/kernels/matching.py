@@ -49,21 +49,31 @@ def _correlation(a: Float, b: Float) -> float:
 
 
 @kernel
+def _like_neighbours(
+    c: float, s: float, tx: float, ty: float, ground_i: Float, distance: Float,
+    raster_j: Float, near_j: NDArray[np.int32], max_distance: float,
+) -> int:  # fmt: skip
+    """Corners of i that an isometry takes to where a like corner of j is near."""
+    height, width = near_j.shape
+    score = 0
+    for k in range(len(ground_i)):
+        x = c * ground_i[k, 0] - s * ground_i[k, 1] + tx
+        y = s * ground_i[k, 0] + c * ground_i[k, 1] + ty
+        u = int(np.rint(raster_j[0, 0] * x + raster_j[0, 1] * y + raster_j[0, 2]))
+        v = int(np.rint(raster_j[1, 0] * x + raster_j[1, 1] * y + raster_j[1, 2]))
+        if 0 <= u < width and 0 <= v < height:
+            neighbour = near_j[v, u]
+            if neighbour >= 0 and distance[k, neighbour] < max_distance:
+                score += 1
+    return score
+
+
+@kernel
 def segment_trial(
-    p: int,
-    q: int,
-    ground_i: Float,
-    ground_j: Float,
-    distance: Float,
-    grey_i: NDArray[np.uint8],
-    raster_i: Float,
-    grey_j: NDArray[np.uint8],
-    raster_j: Float,
-    near_j: NDArray[np.int32],
-    max_distance: float,
-    max_stretch: float,
-    min_correlation: float,
-) -> tuple[Float, NDArray[np.int64]]:
+    p: int, q: int, ground_i: Float, ground_j: Float, distance: Float,
+    grey_i: NDArray[np.uint8], raster_i: Float, grey_j: NDArray[np.uint8], raster_j: Float,
+    near_j: NDArray[np.int32], max_distance: float, max_stretch: float, min_correlation: float,
+) -> tuple[Float, NDArray[np.int64]]:  # fmt: skip
     """Best isometry that takes the segment between corners p and q of i to a segment of j.
 
     Parameters
@@ -97,7 +107,6 @@ def segment_trial(
     profile_i, profile_j = np.empty(_PROFILE_SAMPLES), np.empty(_PROFILE_SAMPLES)
     if length == 0.0 or not _profile(grey_i, raster_i, px, py, qx, qy, profile_i):
         return best, counts
-    height, width = near_j.shape
     for m in range(len(ground_j)):
         if distance[p, m] >= max_distance:
             continue
@@ -120,16 +129,9 @@ def segment_trial(
             c, s = np.cos(yaw), np.sin(yaw)
             tx = 0.5 * (mx + nx - c * (px + qx) + s * (py + qy))
             ty = 0.5 * (my + ny - s * (px + qx) - c * (py + qy))
-            score = 0
-            for k in range(len(ground_i)):
-                x = c * ground_i[k, 0] - s * ground_i[k, 1] + tx
-                y = s * ground_i[k, 0] + c * ground_i[k, 1] + ty
-                u = int(np.rint(raster_j[0, 0] * x + raster_j[0, 1] * y + raster_j[0, 2]))
-                v = int(np.rint(raster_j[1, 0] * x + raster_j[1, 1] * y + raster_j[1, 2]))
-                if 0 <= u < width and 0 <= v < height:
-                    neighbour = near_j[v, u]
-                    if neighbour >= 0 and distance[k, neighbour] < max_distance:
-                        score += 1
+            score = _like_neighbours(
+                c, s, tx, ty, ground_i, distance, raster_j, near_j, max_distance
+            )
             if score > best[0]:
                 best[0], best[1], best[2], best[3] = score, yaw, tx, ty
     return best, counts

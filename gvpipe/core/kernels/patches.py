@@ -142,16 +142,43 @@ def _textured(moments: Float) -> bool:
 
 
 @kernel
+def _follow(
+    patch: Float, template: Float, gx: Float, gy: Float, moments: Float,
+    grey: NDArray[np.uint8], level: int, pixel_from_ground: Float,
+    x: float, y: float, step: float, max_shift: float, iterations: int,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Move a patch until it looks like the template: correlation, 0 if it never does, and shift."""
+    a, b, d, energy = moments[0], moments[1], moments[2], moments[3]
+    det = a * d - b * b
+    score, dx, dy, settled = 0.0, 0.0, 0.0, False
+    for _ in range(iterations + 1):
+        score, gain = _correlate(patch, template, energy)
+        if score <= 0.0 or settled:
+            break
+        ex, ey = 0.0, 0.0
+        for r in range(SIDE):
+            for c in range(SIDE):
+                e = gain * patch[r, c] - template[r, c]
+                ex += gx[r, c] * e
+                ey += gy[r, c] * e
+        sx, sy = (d * ex - b * ey) / det, (a * ey - b * ex) / det
+        dx -= sx
+        dy -= sy
+        settled = sx * sx + sy * sy < _CONVERGED**2
+        x_j, y_j = x + dx * step, y + dy * step
+        if not (abs(dx) <= max_shift and abs(dy) <= max_shift) or not _fill(
+            grey, level, pixel_from_ground, x_j, y_j, step, HALF, patch
+        ):
+            return 0.0, dx, dy
+    return (score if settled else 0.0), dx, dy
+
+
+@kernel
 def align_patches(
-    pyramid_i: tuple[NDArray[np.uint8], ...],
-    pyramid_j: tuple[NDArray[np.uint8], ...],
-    pixel_i_from_ground: Float,
-    pixel_j_from_ground: Float,
-    ground: Float,
-    coarseness: float,
-    max_shift: float,
-    iterations: int,
-) -> tuple[Float, Float, Float]:
+    pyramid_i: tuple[NDArray[np.uint8], ...], pyramid_j: tuple[NDArray[np.uint8], ...],
+    pixel_i_from_ground: Float, pixel_j_from_ground: Float, ground: Float,
+    coarseness: float, max_shift: float, iterations: int,
+) -> tuple[Float, Float, Float]:  # fmt: skip
     """Shift of the ground texture in picture j against picture i.
 
     Inverse compositional Lucas-Kanade for a shift, blind to gain and offset of the grey values.
@@ -203,31 +230,14 @@ def align_patches(
         correlation[k] = LOST if _textured(moments) else BLANK
         if correlation[k] == BLANK:
             continue
+        score, dx, dy = _follow(
+            patch, template, gx, gy, moments, grey_j, level_j, pixel_j_from_ground,
+            x, y, step, max_shift, iterations,
+        )  # fmt: skip
+        if score <= 0.0:
+            continue
         a, b, d, energy = moments[0], moments[1], moments[2], moments[3]
         det = a * d - b * b
-        dx, dy, settled = 0.0, 0.0, False
-        for _ in range(iterations + 1):
-            score, gain = _correlate(patch, template, energy)
-            if score <= 0.0 or settled:
-                break
-            ex, ey = 0.0, 0.0
-            for r in range(SIDE):
-                for c in range(SIDE):
-                    e = gain * patch[r, c] - template[r, c]
-                    ex += gx[r, c] * e
-                    ey += gy[r, c] * e
-            sx, sy = (d * ex - b * ey) / det, (a * ey - b * ex) / det
-            dx -= sx
-            dy -= sy
-            settled = sx * sx + sy * sy < _CONVERGED**2
-            x_j, y_j = x + dx * step, y + dy * step
-            if not (abs(dx) <= max_shift and abs(dy) <= max_shift) or not _fill(
-                grey_j, level_j, pixel_j_from_ground, x_j, y_j, step, HALF, patch
-            ):
-                settled = False
-                break
-        if not settled or score <= 0.0:
-            continue
         correlation[k] = score
         shift[k, 0], shift[k, 1] = dx * step, dy * step
         variance = 2.0 * energy * (1.0 - score) / _COUNT * step * step / det

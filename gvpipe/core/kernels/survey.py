@@ -22,19 +22,22 @@ def cell_colours(
     centre: NDArray[np.float64],
     radius: float,
     colours: Single,
+    slopes: Single,
     radii: Single,
 ) -> None:
-    """Mean colour of a picture over each cell, from three by three bilinear samples.
+    """Mean colour and slope of a picture over each cell, from three by three bilinear samples.
 
-    Writes ``colours[v, u]`` (RGB) and ``radii[v, u]``, the squared distance of the cell's centre
-    from the image centre in units of `radius`; -1 where the picture shows less than half of it.
+    Writes ``colours[v, u]`` (RGB); ``slopes[v, u]``, how much brighter the right and lower edges
+    are than the left and upper ones, each 2/3 of a cell apart, grey levels; and ``radii[v, u]``,
+    the squared distance of the cell's centre from the image centre in units of `radius`; -1 where
+    the picture shows less than half of it.
     """
     a = pixel_from_cell
     u_last, v_last = pixels.shape[1] - 1.0, pixels.shape[0] - 1.0
     for v in range(radii.shape[0]):
         for u in range(radii.shape[1]):
             r, g, b, n = np.float32(0.0), np.float32(0.0), np.float32(0.0), 0
-            square = np.float32(0.0)
+            square, slope = np.float32(0.0), np.float32(0.0)
             for k in range(9):
                 du, dv = u + (k % 3 - 1) / 3.0, v + (k // 3 - 1) / 3.0
                 w = a[2, 0] * du + a[2, 1] * dv + a[2, 2]
@@ -52,21 +55,92 @@ def cell_colours(
                 w10, w11 = (1 - fx) * fy, fx * fy
                 p, q = pixels[j, i], pixels[j, i + 1]
                 s, t = pixels[j + 1, i], pixels[j + 1, i + 1]
-                r += w00 * p[0] + w01 * q[0] + w10 * s[0] + w11 * t[0]
-                g += w00 * p[1] + w01 * q[1] + w10 * s[1] + w11 * t[1]
-                b += w00 * p[2] + w01 * q[2] + w10 * s[2] + w11 * t[2]
+                red = w00 * p[0] + w01 * q[0] + w10 * s[0] + w11 * t[0]
+                green = w00 * p[1] + w01 * q[1] + w10 * s[1] + w11 * t[1]
+                blue = w00 * p[2] + w01 * q[2] + w10 * s[2] + w11 * t[2]
+                r, g, b = r + red, g + green, b + blue
+                slope += (k % 3 + k // 3 - 2) * (red + green + blue)
                 square += np.float32((x - centre[0]) ** 2 + (y - centre[1]) ** 2)
                 n += 1
             if n < 5:
                 radii[v, u] = -1.0
                 continue
             colours[v, u, 0], colours[v, u, 1], colours[v, u, 2] = r / n, g / n, b / n
+            slopes[v, u] = slope / 9
             radii[v, u] = square / (n * radius * radius)
+
+
+@kernel
+def successive(
+    colours: Single, radii: Single, step: int, same: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pair every view of a cell with the next one that sees it, round the list.
+
+    So every chain of views closes. Every `step`-th cell each way is taken, where both views see
+    the cells right of and below it too.
+
+    Returns
+    -------
+    pairs : (N, 2) int64
+        The two views, as places in the last axis.
+    log_ratio : (N,) float64
+        Logarithm of the brightness in the first over that in the second.
+    both : (N, 2) float64
+        The radii in the two.
+    weight : (N,) float64
+        ``1 / (1 + (c / same)^2)`` of the larger change c of the log ratio to these two cells.
+    """
+    h, w, n = radii.shape
+    most = (h // step + 1) * (w // step + 1) * n
+    pairs, both = np.empty((most, 2), np.int64), np.empty((most, 2))
+    ratio, weight = np.empty(most), np.empty(most)
+    light, seen = np.empty((3, n)), np.empty(n, np.bool_)
+    count = 0
+    for v in range(0, h - 1, step):
+        for u in range(0, w - 1, step):
+            for k in range(n):
+                seen[k] = min(radii[v, u, k], radii[v, u + 1, k], radii[v + 1, u, k]) >= 0
+                if seen[k]:
+                    for q in range(3):
+                        c = colours[v + q // 2, u + q % 2, k]
+                        light[q, k] = np.log1p((c[0] + c[1] + c[2]) / 3.0)
+            for a in range(n):
+                if not seen[a]:
+                    continue
+                b = (a + 1) % n
+                while not seen[b]:
+                    b = (b + 1) % n
+                if b == a:
+                    continue
+                r = light[0, a] - light[0, b]
+                change = max(abs(light[1, a] - light[1, b] - r), abs(light[2, a] - light[2, b] - r))
+                pairs[count, 0], pairs[count, 1], ratio[count] = a, b, r
+                both[count, 0], both[count, 1] = radii[v, u, a], radii[v, u, b]
+                weight[count] = 1.0 / (1.0 + (change / same) ** 2)
+                count += 1
+    # copies: what is kept of every tile must not hold the whole room
+    return pairs[:count], ratio[:count].copy(), both[:count].copy(), weight[:count].copy()
+
+
+@kernel
+def likeness(
+    c: Single, d: Single, s: np.float32, t: np.float32, spread: float, noise: float, grain: float
+) -> float:
+    """How much a view of colour `c` (3,) and slope `s` speaks for another of `d` and `t`.
+
+    A Gaussian of their colours, of deviation `spread`, times ``1 + grain g`` of their slopes'
+    likeness ``g = 2 s t / (s^2 + t^2 + 2 noise^2)``: 1 where both show a grain that is stronger
+    than the deviation `noise`, 0 in the mean where they do not, or there is none.
+    """
+    square = (c[0] - d[0]) ** 2 + (c[1] - d[1]) ** 2 + (c[2] - d[2]) ** 2
+    shared = 2.0 * s * t / (s * s + t * t + 2.0 * noise * noise)
+    return np.exp(-0.5 / (spread * spread) * square) * (1.0 + grain * shared)
 
 
 @kernel
 def vote(
     colours: Single,
+    slopes: Single,
     radii: Single,
     cameras: NDArray[np.float64],
     x_first: float,
@@ -74,6 +148,8 @@ def vote(
     step: float,
     reach: float,
     spread: float,
+    noise: float,
+    grain: float,
     weights: Single,
     support: Single,
 ) -> None:
@@ -84,13 +160,12 @@ def vote(
     ground in camera heights (constant `reach`), since a longer one passes more places where an
     obstacle may stand, and views from the same direction share one weight, since the same
     obstacle hides the ground from all of them: by cos^16 of the angle between, half at 17
-    degrees. The support of a view is the weight of all views whose colour is like its own
-    (Gaussian of deviation `spread`).
+    degrees. The support of a view is its own weight and that of all others by their
+    :func:`likeness`.
     """
     h, w, n = radii.shape
     bearing_x, bearing_y = np.zeros(n, np.float32), np.zeros(n, np.float32)
     alone = np.zeros(n, np.float32)
-    scale = np.float32(-0.5 / (spread * spread))
     for v in range(h):
         for u in range(w):
             for k in range(n):
@@ -120,14 +195,20 @@ def vote(
             for k in range(n):
                 if alone[k] <= 0:
                     continue
-                for m in range(n):
+                support[v, u, k] += weights[v, u, k]
+                for m in range(k + 1, n):
                     if alone[m] > 0:
-                        r = colours[v, u, k, 0] - colours[v, u, m, 0]
-                        g = colours[v, u, k, 1] - colours[v, u, m, 1]
-                        b = colours[v, u, k, 2] - colours[v, u, m, 2]
-                        support[v, u, k] += weights[v, u, m] * np.exp(
-                            scale * (r * r + g * g + b * b)
+                        like = likeness(
+                            colours[v, u, k],
+                            colours[v, u, m],
+                            slopes[v, u, k],
+                            slopes[v, u, m],
+                            spread,
+                            noise,
+                            grain,
                         )
+                        support[v, u, k] += weights[v, u, m] * like
+                        support[v, u, m] += weights[v, u, k] * like
 
 
 @kernel

@@ -87,6 +87,27 @@ def pair_homography(
 
 
 @kernel
+def _add_prior(
+    theta: Float, prior: Float, prior_weight: Float, limit: Float, cost: float, a: Float, b: Float
+) -> float:
+    """Add the prior to J'J and J'r, in place, and to the cost."""
+    for k in range(len(theta)):
+        r = (theta[k] - prior[k]) * prior_weight[k]
+        # soft L1: a hint far off loses its pull instead of bending the plane
+        root = np.sqrt(1.0 + r * r)
+        cost += root - 1.0
+        b[k] += prior_weight[k] * r / root
+        a[k, k] += prior_weight[k] * prior_weight[k] / root
+        off = theta[k] - prior[k]
+        excess = abs(off) - limit[k]
+        if excess > 0.0:
+            cost += 0.5 * (excess / _WALL) ** 2
+            b[k] += np.sign(off) * excess / (_WALL * _WALL)
+            a[k, k] += 1.0 / (_WALL * _WALL)
+    return cost
+
+
+@kernel
 def _normal_equations(
     theta: Float,
     prior: Float,
@@ -142,19 +163,8 @@ def _normal_equations(
             b[k] += weight * (row[0, k] * r0 + row[1, k] * r1)
             for m in range(k + 1):
                 a[k, m] += weight * (row[0, k] * row[0, m] + row[1, k] * row[1, m])
+    cost = _add_prior(theta, prior, prior_weight, limit, cost, a, b)
     for k in range(size):
-        r = (theta[k] - prior[k]) * prior_weight[k]
-        # soft L1: a hint far off loses its pull instead of bending the plane
-        root = np.sqrt(1.0 + r * r)
-        cost += root - 1.0
-        b[k] += prior_weight[k] * r / root
-        a[k, k] += prior_weight[k] * prior_weight[k] / root
-        off = theta[k] - prior[k]
-        excess = abs(off) - limit[k]
-        if excess > 0.0:
-            cost += 0.5 * (excess / _WALL) ** 2
-            b[k] += np.sign(off) * excess / (_WALL * _WALL)
-            a[k, k] += 1.0 / (_WALL * _WALL)
         for m in range(k):
             a[m, k] = a[k, m]
     return cost, a, b
@@ -162,21 +172,10 @@ def _normal_equations(
 
 @kernel
 def fit_pair(
-    theta: Float,
-    prior: Float,
-    prior_weight: Float,
-    limit: Float,
-    inverse_k_i: Float,
-    k_j: Float,
-    height_i: float,
-    height_j: float,
-    p: Float,
-    q: Float,
-    whiten: Float,
-    loss: float,
-    iterations: int,
-    gain: float,
-) -> tuple[Float, float, Float]:
+    theta: Float, prior: Float, prior_weight: Float, limit: Float, inverse_k_i: Float, k_j: Float,
+    height_i: float, height_j: float, p: Float, q: Float, whiten: Float,
+    loss: float, iterations: int, gain: float,
+) -> tuple[Float, float, Float]:  # fmt: skip
     """Levenberg-Marquardt over the eight parameters.
 
     Parameters
@@ -214,19 +213,9 @@ def fit_pair(
     a, b = np.eye(size), np.zeros(size)
     for _ in range(iterations + 1):
         new_cost, new_a, new_b = _normal_equations(
-            trial,
-            prior,
-            prior_weight,
-            limit,
-            inverse_k_i,
-            k_j,
-            height_i,
-            height_j,
-            p,
-            q,
-            whiten,
-            loss,
-        )
+            trial, prior, prior_weight, limit, inverse_k_i, k_j, height_i, height_j,
+            p, q, whiten, loss,
+        )  # fmt: skip
         if new_cost < cost:
             settled = cost - new_cost < gain * cost
             theta, cost, a, b = trial, new_cost, new_a, new_b

@@ -105,20 +105,10 @@ def find_isometry(
             continue
         q = int(unlike[rng.integers(len(unlike))])
         found, _ = segment_trial(
-            p,
-            q,
-            features_i.ground,
-            features_j.ground,
-            distance,
-            grey_i,
-            raster_i,
-            grey_j,
-            raster_j,
-            near_j,
-            options.min_colour,
-            options.max_stretch,
-            options.min_correlation,
-        )
+            p, q, features_i.ground, features_j.ground, distance,
+            grey_i, raster_i, grey_j, raster_j, near_j,
+            options.min_colour, options.max_stretch, options.min_correlation,
+        )  # fmt: skip
         if found[0] > 0:
             fits.append(tuple(found.tolist()))
         if found[0] > best:

@@ -4,18 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from gvpipe.core.matching.candidate import Candidate, examine, prepare
 from gvpipe.core.matching.features import Features, MatchOptions
 from gvpipe.core.matching.guided import guided_match
 from gvpipe.core.matching.hypotheses import Matches
 from gvpipe.core.matching.invariants import extract_invariants
 from gvpipe.core.matching.isometry import find_isometry
-from gvpipe.core.matching.overhead_matching import (
-    Candidate,
-    conclude,
-    examine,
-    match_sift,
-    prepare,
-)
+from gvpipe.core.matching.overhead_matching import conclude, match_sift
 from gvpipe.core.matching.sift import extract_sift
 from gvpipe.core.types import PairMatch, Rejected, View
 

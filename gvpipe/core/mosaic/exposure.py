@@ -1,5 +1,6 @@
 """Brightness of the views against each other: exposure of each, vignetting of each camera."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,31 +37,57 @@ class Exposure:
     falloff: Float
 
 
-def balance(
-    first: NDArray[np.intp],
-    second: NDArray[np.intp],
-    log_ratio: Float,
-    radii: Float,
-    camera_of: NDArray[np.intp],
-) -> Exposure:
-    """Estimate exposures and vignetting from spots of ground seen by two views.
+@dataclass(frozen=True)
+class Spots:
+    """Ground seen by two views.
 
-    Parameters
+    Attributes
     ----------
-    first, second : (N,) int
-        Views of each spot.
+    views : (N, 2) int
+        The two views of each spot.
     log_ratio : (N,) float64
         Logarithm of its brightness in the first over that in the second.
     radii : (N, 2) float64
         Squared distances from the image centre in the two views, in half image widths.
+    weight : (N,) float64
+        How alike the two show it and what is beside it, but for their exposures; 0 to 1.
+    """
+
+    views: NDArray[np.intp]
+    log_ratio: Float
+    radii: Float
+    weight: Float
+
+    @classmethod
+    def joined(cls, parts: Iterable["Spots"]) -> "Spots":
+        """Spots of several places."""
+        none = cls(np.empty((0, 2), np.intp), np.empty(0), np.empty((0, 2)), np.empty(0))
+        every = [none, *parts]
+        return cls(
+            np.concatenate([s.views for s in every]),
+            np.concatenate([s.log_ratio for s in every]),
+            np.concatenate([s.radii for s in every]),
+            np.concatenate([s.weight for s in every]),
+        )
+
+
+def balance(spots: Spots, camera_of: NDArray[np.intp]) -> Exposure:
+    """Estimate exposures and vignetting from spots of ground seen by two views.
+
+    Parameters
+    ----------
+    spots : Spots
+        Some of them show an obstacle in one view or in both.
     camera_of : (n,) int
         Camera of each view, counted from 0.
 
     Returns
     -------
     exposure : Exposure
-        Robust least squares (iteratively reweighted, Huber).
+        Robust least squares (iteratively reweighted, Cauchy: even where most of what two views
+        share is an obstacle in one of them, it counts for little in the end).
     """
+    (first, second), radii = spots.views.T, spots.radii
     n, cameras = len(camera_of), int(camera_of.max(initial=-1)) + 1
     rows = np.repeat(np.arange(len(first)), 4)
     columns = np.column_stack([first, second, n + camera_of[first], n + camera_of[second]])
@@ -69,10 +96,10 @@ def balance(
     design = csr_array((values.ravel(), (rows, columns.ravel())), shape=shape)
     prior = PRIOR_WEIGHT * eye_array(n + cameras)
     x: Float = np.zeros(n + cameras)
-    weight: Float = np.ones(len(first))
+    weight = spots.weight
     for _ in range(ROUNDS):
         weighted = design.T.multiply(weight).tocsr()
-        x = np.asarray(spsolve((weighted @ design + prior).tocsc(), weighted @ log_ratio))
-        residual = np.abs(design @ x - log_ratio)
-        weight = np.asarray(1.0 / np.maximum(1.0, residual / ROBUST), dtype=np.float64)
+        x = np.asarray(spsolve((weighted @ design + prior).tocsc(), weighted @ spots.log_ratio))
+        residual = design @ x - spots.log_ratio
+        weight = spots.weight / (1.0 + (residual / ROBUST) ** 2)
     return Exposure(log_gain=x[:n], falloff=x[n:][camera_of])

@@ -2,11 +2,11 @@
 
 An obstacle does not lie in the ground plane, so in every overhead view it is smeared away from
 the camera, over ground that other views see. Cell by cell the views vote on the colour of the
-ground; a vote counts by direction, by length of the line of sight, and by how common its colour
-is on ground that views from several sides agree on.
+ground; a vote counts by direction, by length of the line of sight, by how common its colour is on
+ground that views from several sides agree on, and by the grain that it shares with others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,20 +15,13 @@ from numpy.typing import NDArray
 from gvpipe.core.kernels import survey as kernels
 from gvpipe.core.kernels.mosaic import CLEAN_SHARE
 from gvpipe.core.mosaic.cleanmap import CleanMap
-from gvpipe.core.mosaic.exposure import Exposure, balance
+from gvpipe.core.mosaic.exposure import Exposure, Spots, balance
 from gvpipe.core.mosaic.groundcolours import GroundColours, colour_bins
-from gvpipe.core.mosaic.raster import (
-    Border,
-    MosaicRaster,
-    Picture,
-    PlacedIndex,
-    PlacedView,
-    max_depth,
-    place,
-)
+from gvpipe.core.mosaic.raster import Border, MosaicRaster, Picture, PlacedIndex, max_depth
+from gvpipe.core.mosaic.sight import Look, look_at, take_sight
 from gvpipe.core.mosaic.smoothing import mean_around, smooth_light
 from gvpipe.core.mosaic.tiles import in_order
-from gvpipe.core.types import Float, PosedView
+from gvpipe.core.types import PosedView
 
 CELLS_PER_HEIGHT = 25.0
 """Cells in one camera height: 2 to 3 cm for a robot, smaller than what it must not run into and
@@ -58,6 +51,18 @@ SURE_SHARE, SURE_WEIGHT = 0.8, 1.3
 
 MAX_SPOTS = 60_000
 """Spots in the estimate of exposures: some hundred for each of hundreds of views."""
+
+SAME = 0.02
+"""Change of the log ratio of two views from a cell to the next that halves the cell's weight in the
+estimate of exposures: where both show ground, they show the same grain, and the ratio stays."""
+
+SLOPE_NOISE = 5.0
+"""Slopes of a cell (grey levels) down to which views differ by noise and registration."""
+
+GRAIN = 3.0
+"""A view of the same colour counts one and this much where it shows the same grain: an obstacle may
+have the colour of the ground, or look alike from all sides, but its grain lies elsewhere in every
+view. From 1 on ghosts lose ties; from 2 to 4 the maps are the same."""
 
 LOG_ODDS = 0.85
 """Evidence of one direction that shows ground, or that does not: odds of 7 to 3."""
@@ -99,28 +104,6 @@ class Survey:
     covered_m2: float
 
 
-@dataclass(frozen=True)
-class _Sight:
-    """All cells of one view: colours (h, w, 3) and radii (h, w), -1 = not seen."""
-
-    column: int
-    row: int
-    colours: NDArray[np.uint8]
-    radii: NDArray[np.float16]
-    border: Border
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A tile of cells: views that may see it, colours (h, w, n, 3), radii (h, w, n)."""
-
-    column: int
-    row: int
-    views: NDArray[np.intp]
-    colours: Single
-    radii: Single
-
-
 def survey(views: Sequence[PosedView | Picture], raster: MosaicRaster, jobs: int = 1) -> Survey:
     """Look at all views in coarse cells.
 
@@ -150,11 +133,14 @@ class _Surveyor:
     ) -> None:
         self.views, self.factor, self.jobs = views, factor, jobs
         self.cells = raster.coarser(factor)
-        self.depths = [max_depth(v, raster.resolution) for v in views]
         self.cameras = np.array([v.map_from_camera.translation for v in views])
-        seen = list(in_order(self._sight, range(len(views)), jobs))
-        self.sights = [sight for _, sight in seen]
+        seen = list(
+            in_order(
+                lambda v: take_sight(v, self.cells, max_depth(v, raster.resolution)), views, jobs
+            )
+        )
         self.placed = [placed for placed, _ in seen]
+        self.sights = [sight for _, sight in seen]
         self.index = PlacedIndex(self.placed)
         corners = [
             (row, column)
@@ -166,7 +152,7 @@ class _Surveyor:
     def run(self) -> Survey:
         """Balance the exposures, learn the ground's colours, then judge the views tile by tile."""
         spots = in_order(self._spots, self.tiles, self.jobs)
-        exposure = self._balance([s for s in spots if len(s)])
+        exposure = self._balance(spots)
         tallies = in_order(lambda t: self._tally(t, exposure), self.tiles, self.jobs)
         known = GroundColours(TILE, dict(zip(self.tiles, tallies, strict=True)))
         maps = [CleanMap.blank(p, self.cells) for p in self.placed]
@@ -194,31 +180,6 @@ class _Surveyor:
             covered * self.cells.resolution**2,
         )
 
-    def _sight(self, k: int) -> tuple[PlacedView | None, _Sight]:
-        """Sample all cells of a view: the only time that its picture is read."""
-        view = self.views[k]
-        border = view.border()
-        p = place(view, self.cells, self.depths[k], border)
-        if p is None:
-            nothing = np.zeros((0, 0, 3), np.uint8)
-            return p, _Sight(0, 0, nothing, np.zeros((0, 0), np.float16), border)
-        column, row = int(np.floor(p.box[0])), int(np.floor(p.box[1]))
-        shape = (int(np.ceil(p.box[3])) - row + 1, int(np.ceil(p.box[2])) - column + 1)
-        colours, radii = np.zeros((*shape, 3), np.float32), np.empty(shape, np.float32)
-        kernels.cell_colours(
-            view.read(),
-            *border,
-            p.pixel_from_raster @ _shift(column, row),
-            p.max_depth,
-            np.array([view.camera.cx, view.camera.cy]),
-            view.camera.width / 2,
-            colours,
-            radii,
-        )
-        # a tenth of the memory of the pictures: the tiles are made of these three times
-        rounded = np.rint(colours).astype(np.uint8)
-        return p, _Sight(column, row, rounded, radii.astype(np.float16), border)
-
     def _window(self, tile: tuple[int, int]) -> tuple[int, int, int, int]:
         """First column and row, width and height of a tile with its margin."""
         height = min(TILE, self.cells.height - tile[0]) + 2 * MARGIN
@@ -228,68 +189,38 @@ class _Surveyor:
     def _touching(self, tile: tuple[int, int]) -> NDArray[np.intp]:
         return self.index.touching(*self._window(tile))
 
-    def _look(self, tile: tuple[int, int]) -> _Look:
+    def _look(self, tile: tuple[int, int]) -> Look:
         """Gather the cells of a tile and its margin from all views."""
-        column, row, width, height = self._window(tile)
-        views = self._touching(tile)
-        colours = np.zeros((height, width, len(views), 3), np.float32)
-        radii = np.full((height, width, len(views)), -1.0, np.float32)
-        for n, k in enumerate(views):
-            sight = self.sights[k]
-            h, w = sight.radii.shape
-            top, left = max(row, sight.row), max(column, sight.column)
-            bottom, right = min(row + height, sight.row + h), min(column + width, sight.column + w)
-            if top < bottom and left < right:
-                here = np.s_[top - row : bottom - row, left - column : right - column, n]
-                there = np.s_[
-                    top - sight.row : bottom - sight.row, left - sight.column : right - sight.column
-                ]
-                colours[here], radii[here] = sight.colours[there], sight.radii[there]
-        return _Look(column, row, views, colours, radii)
+        return look_at(self.sights, self._touching(tile), self._window(tile))
 
-    def _spots(self, tile: tuple[int, int]) -> Float:
-        """Cells seen by successive views: (N, 5) of views i and j, log ratio, radii in i and j."""
+    def _spots(self, tile: tuple[int, int]) -> Spots:
+        """Cells seen by successive views."""
         look = self._look(tile)
-        if not len(look.views):
-            return np.empty((0, 5))
         total = self.cells.width * self.cells.height
         step = max(1, round(float(np.sqrt(total / MAX_SPOTS))))
-        colours = look.colours[::step, ::step].reshape(-1, len(look.views), 3)
-        radii = look.radii[::step, ::step].reshape(-1, len(look.views))
-        light = np.log1p(colours.mean(axis=2, dtype=np.float64))
-        rows = []
-        for a in range(len(look.views)):
-            # the next view that sees the cell, round the list, so that every chain closes
-            unpaired = radii[:, a] >= 0
-            for b in (*range(a + 1, len(look.views)), *range(a)):
-                both = unpaired & (radii[:, b] >= 0)
-                unpaired &= ~both
-                if both.any():
-                    ratio = light[both, a] - light[both, b]
-                    ids = np.broadcast_to(look.views[[a, b]], (len(ratio), 2))
-                    rows.append(np.column_stack([ids, ratio, radii[both][:, [a, b]]]))
-        return np.concatenate(rows) if rows else np.empty((0, 5))
+        pairs, *rest = kernels.successive(look.colours, look.radii, step, SAME)
+        return Spots(look.views[pairs], *rest)
 
-    def _balance(self, spots: list[Float]) -> Exposure:
+    def _balance(self, spots: Iterable[Spots]) -> Exposure:
         """Exposures from the spots of all tiles."""
         cameras = {c: k for k, c in enumerate(dict.fromkeys(v.camera for v in self.views))}
         camera_of = np.array([cameras[v.camera] for v in self.views], dtype=np.intp)
-        s = np.concatenate([np.empty((0, 5)), *spots])
-        i, j = s[:, 0].astype(np.intp), s[:, 1].astype(np.intp)
-        return balance(i, j, s[:, 2], s[:, 3:], camera_of)
+        return balance(Spots.joined(spots), camera_of)
 
-    def _brightness(self, look: _Look, exposure: Exposure) -> Single:
+    def _brightness(self, look: Look, exposure: Exposure) -> Single:
         """How bright each view shows its cells, against the balanced exposure; (h, w, n)."""
         gain = exposure.log_gain[look.views] + exposure.falloff[look.views] * look.radii
         return np.exp(gain).astype(np.float32)
 
-    def _vote(self, look: _Look, exposure: Exposure) -> tuple[Single, Single, Single]:
-        """Balanced colours, weights and support of a tile's views."""
-        colours = look.colours / self._brightness(look, exposure)[..., None]
+    def _vote(self, look: Look, exposure: Exposure, grain: float) -> tuple[Single, Single, Single]:
+        """Balanced colours, weights and support of a tile's views, shared grain at a weight."""
+        brightness = self._brightness(look, exposure)
+        colours = look.colours / brightness[..., None]
         weights, support = np.empty_like(look.radii), np.empty_like(look.radii)
         m = self.cells.map_from_pixel
         kernels.vote(
             colours,
+            look.slopes / brightness,
             look.radii,
             self.cameras[look.views],
             m[0, 2] + m[0, 0] * look.column,
@@ -297,6 +228,8 @@ class _Surveyor:
             self.cells.resolution,
             REACH_HEIGHTS,
             LIKE,
+            SLOPE_NOISE,
+            grain,
             weights,
             support,
         )
@@ -307,7 +240,8 @@ class _Surveyor:
         look = self._look(tile)
         if not len(look.views):
             return np.empty((2, 0), np.int32)
-        colours, weights, support = self._vote(look, exposure)
+        # views from several sides must agree: grain may be that of an obstacle's foot or top
+        colours, weights, support = self._vote(look, exposure, 0.0)
         best = support.argmax(axis=2)[..., None]
         agreed = np.take_along_axis(support, best, axis=2)[..., 0]
         total = weights.sum(axis=2)
@@ -318,14 +252,14 @@ class _Surveyor:
 
     def _judge(
         self, tile: tuple[int, int], exposure: Exposure, likelihood: Single
-    ) -> tuple[_Look, NDArray[np.uint8], Single, Single]:
+    ) -> tuple[Look, NDArray[np.uint8], Single, Single]:
         """Clean weights (h, w, n), light and log odds (h, w) of a tile, its margin cut off."""
         look = self._look(tile)
         inner = np.s_[MARGIN : len(look.radii) - MARGIN, MARGIN : look.radii.shape[1] - MARGIN]
         clean = np.zeros_like(look.radii)
         light, odds = np.full(clean.shape[:2], np.nan, np.float32), np.zeros(clean.shape[:2])
         if len(look.views):
-            colours, weights, support = self._vote(look, exposure)
+            colours, weights, support = self._vote(look, exposure, GRAIN)
             seen = look.radii >= 0
             known = likelihood[colour_bins(colours)]
             support = mean_around(support + COLOUR_WEIGHT * known, seen, MARGIN)
@@ -338,8 +272,3 @@ class _Surveyor:
             odds = np.where(seen.any(axis=2), LOG_ODDS * (against - COLOUR_WEIGHT * colour), 0.0)
         rounded = np.rint(255 * clean[inner]).astype(np.uint8)
         return look, rounded, light[inner], odds[inner].astype(np.float32)
-
-
-def _shift(column: int, row: int) -> Float:
-    """Matrix from pixels of a part to those of the whole."""
-    return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])

@@ -1,6 +1,6 @@
 """Colour histograms of the ground and the distances between them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,11 +80,6 @@ def colour_histogram(pixels: Image, seen: NDArray[np.bool_]) -> Float:
     """
     counts = kernels.count_colours(np.ascontiguousarray(pixels), seen).astype(np.float64)
     return counts / max(float(counts.sum()), 1.0)
-
-
-def ground_histograms(views: Sequence[View]) -> Float:
-    """Histograms of several views, (n, 64) float64; see :func:`ground_histogram`."""
-    return np.array([ground_histogram(v) for v in views]).reshape(-1, BINS)
 
 
 def _in_blocks(block: Callable[..., None], h: Float, g: Float) -> Distances:

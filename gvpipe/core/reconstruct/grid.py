@@ -53,11 +53,6 @@ class VoxelGrid:
         """Corner of the grid with the largest coordinates, (3,) metres."""
         return self.lower + self.spacing * np.array(self.shape)
 
-    @property
-    def voxel_volume(self) -> float:
-        """Volume of one voxel, cubic metres."""
-        return float(np.prod(self.spacing))
-
     def part(self, start: int, stop: int) -> "VoxelGrid":
         """Cut out the layers ``start <= i < stop`` along x."""
         shift = np.array([start * self.spacing[0], 0.0, 0.0])

@@ -144,25 +144,29 @@ def _laid_out(i: Index, j: Index, front: Index, parent: Index, size: int, border
     own_first, own = _unknowns(place_first, turn, size, np.where(last, tail, 0), end)
     rest = np.where(last, 0, tail)
     width = size * (np.diff(place_first) + np.diff(bound_first))
-    slots = within(parent[of], touched)
-    bound_unknowns = _unknowns(bound_first, turn[touched], size, rest, end)
-    owns, rests = np.diff(own_first), np.diff(bound_unknowns[0])
+    within_parent = within(parent[of], touched)
+    bound_unknowns_first, bound_unknowns = _unknowns(bound_first, turn[touched], size, rest, end)
+    ends = np.append(width[parent[:-1]], 0)
+    slot_first, slots = _unknowns(bound_first, within_parent, size, rest, ends)
+    owns, rests = np.diff(own_first), np.diff(bound_unknowns_first)
     consumed = np.bincount(parent[:-1], rests[:-1].astype(np.float64) ** 2, minlength=fronts)
     waiting = np.cumsum(rests**2) - np.cumsum(consumed) + consumed
     return Tree(
-        own_first,
-        own,
-        *bound_unknowns,
-        np.append(0, np.cumsum(np.bincount(parent[:-1], minlength=fronts))),
-        np.argsort(parent[:-1], kind="stable"),
-        *_unknowns(bound_first, slots, size, rest, np.append(width[parent[:-1]], 0)),
-        place_first,
-        turn,
-        np.searchsorted(at, np.arange(fronts + 1)),
-        np.column_stack([order, within(at, early), within(at, late)]),
-        (rank[i] > rank[j])[order].astype(np.int64),
-        np.append(0, np.cumsum(owns * (owns + rests))),
-        int(waiting.max(initial=0)),
+        own_first=own_first,
+        own=own,
+        bound_first=bound_unknowns_first,
+        bound=bound_unknowns,
+        child_first=np.append(0, np.cumsum(np.bincount(parent[:-1], minlength=fronts))),
+        children=np.argsort(parent[:-1], kind="stable"),
+        slot_first=slot_first,
+        slots=slots,
+        place_first=place_first,
+        places=turn,
+        edge_first=np.searchsorted(at, np.arange(fronts + 1)),
+        edges=np.column_stack([order, within(at, early), within(at, late)]),
+        flipped=(rank[i] > rank[j])[order].astype(np.int64),
+        factor_first=np.append(0, np.cumsum(owns * (owns + rests))),
+        stack_size=int(waiting.max(initial=0)),
     )
 
 
