@@ -52,6 +52,10 @@ and its multiple at which obstacle and ground are equally likely."""
 GAIN_LIMIT = 1.5
 """Largest log odds of one pixel: texture that happens to match must not outvote its area."""
 
+PLAIN_SHARE = 0.5
+"""Share of the log odds for ground that equal colour has without texture found again: neighbours
+of one colour are no independent witnesses, and obstacles may have it too."""
+
 HALF_SUPPORT = 0.7
 """Weight of agreeing views at which the ground behind a pixel is half certain."""
 
@@ -263,6 +267,7 @@ def _measured_gain(
     off, recognised = difference(_compared(view, seen), noise)
     eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
     odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
+    odds = np.where(odds < 0, odds * (PLAIN_SHARE + (1 - PLAIN_SHARE) * recognised), odds)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
     agreeing = np.clip(agreeing, 0, 1)
     certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
