@@ -1,6 +1,7 @@
 """Obstacle evidence on scenes whose obstacles, cameras and light are known."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from gvpipe.core.reconstruct.evidence import data_terms, find_regions, hull_prob
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions
 from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.grid import VoxelGrid
-from gvpipe.core.reconstruct.hiding import hidden_ground
+from gvpipe.core.reconstruct.hiding import bodies_seen, hidden_ground
 from gvpipe.core.reconstruct.hull import (
     Solid,
     down_to_ground,
@@ -188,7 +189,8 @@ def test_ground_behind_an_obstacle_is_seen_by_the_others(views, scene):
         [reduced(v, p, 1) for v, p in zip(views, levelled(views), strict=True)]
     )
     masks = [true_mask(v.map_from_camera) for v in views]
-    witnesses.hide([m.astype(np.uint8) * 255 for m in masks])
+    hidden = [m.astype(np.uint8) * 255 for m in masks]
+    witnesses.hide(hidden, hidden)
     seen = witnesses.behind(0, 20.0)
     expected = bare.photograph(views[0].map_from_camera, CAMERA, 2).astype(np.float32)
     behind = masks[0] & (seen.open_weight > 1.0)
@@ -196,6 +198,43 @@ def test_ground_behind_an_obstacle_is_seen_by_the_others(views, scene):
     gain = np.median(seen.colour[behind] / np.maximum(expected[behind], 1))
     off = np.abs(seen.colour[behind] / gain - expected[behind]).mean(axis=-1)
     assert np.median(off) < 8
+
+
+@pytest.mark.parametrize(
+    ("own", "solid", "expected"),
+    [(200, 0, 200), (200, 255, 150), (40, 0, 150), (175, 0, 150)],
+    ids=["as bright as others see it", "perhaps an obstacle", "too dark for gloss", "seen by none"],
+)
+def test_the_ground_may_look_as_in_other_views(views, own, solid, expected):
+    levels = (150, 150, 150, 150, 150, 200, 200, 200, own)
+    flat = [
+        replace(v, pixels=np.full_like(v.pixels, level))
+        for v, level in zip(views, levels, strict=True)
+    ]
+    witnesses = GroundWitnesses(flat)
+    nothing = np.zeros((2, 2), np.uint8)
+    witnesses.hide([nothing] * 9, [nothing] * 8 + [nothing + np.uint8(solid)])
+    seen = witnesses.behind(8, 12.0)
+    middle = seen.colour[60:90, 80:120]
+    np.testing.assert_allclose(middle, expected, atol=1.0)
+
+
+def test_gloss_on_a_body_is_no_hole(scene):
+    floor = Scene(np.full_like(scene.ground, 170), boxes=scene.boxes)
+    rng = np.random.default_rng(5)
+    views = [
+        PosedView(f"A/{k}", floor.photograph(pose, CAMERA, 2, noise=2.0, rng=rng), CAMERA, pose)
+        for k, pose in enumerate(ring(18))
+    ]
+    glossy = views[4].pixels.copy()
+    top = np.array([0.0, 0.0, HIGH[2], 1.0])  # the ground behind it is seen from all round
+    u, v, w = pixel_from_map(views[4]) @ top
+    spot = np.zeros(glossy.shape[:2], np.uint8)
+    cv2.circle(spot, (round(u / w), round(v / w)), 6, 1, -1)
+    glossy[spot > 0] = np.clip(rng.normal(170, 2, (int(spot.sum()), 3)), 0, 255).astype(np.uint8)
+    views[4] = replace(views[4], pixels=glossy)
+    found = silhouettes(views, NO_GROUND, EvidenceOptions())[4]
+    assert (found[spot > 0] > 0.5).mean() > 0.9  # its rim may be cut off
 
 
 def test_the_mosaic_is_rendered_where_the_view_sees_it(views, scene):
@@ -335,6 +374,16 @@ def test_what_hides_the_ground_is_grown_by_two_pixels(views):
     true = true_mask(views[1].map_from_camera)
     assert (behind[true] == 255).all()
     assert (behind == 255).sum() < 1.5 * true.sum()
+
+
+def test_bodies_are_seen_less_their_edge(views):
+    with ThreadPoolExecutor(1) as pool:
+        seen = bodies_seen(views, [box_grid()], pool)
+    for mask, view in zip(seen, views, strict=True):
+        true = true_mask(view.map_from_camera)
+        inner = cv2.erode(true.astype(np.uint8), np.ones((11, 11))) > 0
+        assert not (mask[~true] > 0).any()
+        assert (mask[inner] > 0).all()
 
 
 def test_only_parts_on_the_ground_stand():

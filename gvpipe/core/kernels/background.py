@@ -16,6 +16,13 @@ LEAST_SHARPNESS = 0.05
 HIDDEN_WEIGHT = 0.01
 """Weight of a view that an obstacle probably keeps from seeing the point."""
 
+GLOSS_RANGE = 0.35
+"""Share of the ground's brightness that gloss and reflections may add or take."""
+
+GLOSS_SHARE, GLOSS_WEIGHT = 0.25, 1.5
+"""Share of the views that agree, and weight of views, that must see the ground in a picture's own
+brightness for it to be another look of the ground."""
+
 
 @kernel
 def _sharpness(horizontal2: float, height: float) -> float:
@@ -99,20 +106,50 @@ def _mode(
         vote = votes[a] * (0.3 + weights[a])  # a sharp view's colour is a better start
         if vote > best:
             best, chosen = vote, a
-    mode = (colours[0, chosen], colours[1, chosen], colours[2, chosen])
-    support = 0.0
+    start = (colours[0, chosen], colours[1, chosen], colours[2, chosen])
+    return _mean_around(colours, weights, m, inverse_scale2, start)
+
+
+@kernel
+def _mean_around(
+    colours: Single, weights: Single, m: int, inverse_scale2: np.float32, start: Colour
+) -> tuple[float, Colour]:
+    """Follow the colours that agree with a first one: their weight, and their mean."""
+    support, mean = 0.0, start
     for _ in range(2):
         support, red, green, blue = 0.0, 0.0, 0.0, 0.0
         for b in range(m):
-            w = weights[b] * _agreement(colours, b, mode, inverse_scale2)
+            w = weights[b] * _agreement(colours, b, mean, inverse_scale2)
             support += w
             red += w * colours[0, b]
             green += w * colours[1, b]
             blue += w * colours[2, b]
-        mode = (
+        if support <= 0.0:
+            return 0.0, start
+        mean = (
             np.float32(red / support), np.float32(green / support), np.float32(blue / support)
         )  # fmt: skip
-    return support, mode
+    return support, mean
+
+
+@kernel
+def _other_look(
+    colours: Single,
+    weights: Single,
+    m: int,
+    inverse_scale2: np.float32,
+    own: Bytes,
+    mode: Colour,
+    agreed: float,
+) -> Colour:
+    """Exchange the usual colour for the one of views that see the ground as bright as this one."""
+    brightness = (mode[0] + mode[1] + mode[2]) / np.float32(3)
+    change = (np.float32(own[0]) + own[1] + own[2]) / np.float32(3) - brightness
+    if abs(change) > GLOSS_RANGE * brightness:
+        return mode
+    start = (mode[0] + change, mode[1] + change, mode[2] + change)
+    support, look = _mean_around(colours, weights, m, inverse_scale2, start)
+    return look if support >= max(GLOSS_SHARE * agreed, GLOSS_WEIGHT) else mode
 
 
 @kernel
@@ -128,6 +165,7 @@ def ground_behind(
     centres: Float,
     colour_scale: float,
     reach: float,
+    solid: NDArray[np.bool_],
     colour: Single,
     support: Single,
     open_weight: Single,
@@ -157,6 +195,8 @@ def ground_behind(
         Colours closer than this agree, levels.
     reach : float
         Ground farther from a camera than this many of its heights is not asked.
+    solid : (h, w) bool
+        Where the view may show an obstacle: there, what looks like gloss may be its colour.
     colour, support, open_weight, total_weight
         (h, w, 3) and (h, w) float32, filled: the colour most agree on, the weight that agrees,
         the weight of all views not hidden there, and of all views. Zero where nothing is seen.
@@ -195,4 +235,7 @@ def ground_behind(
             if m:
                 agreed, mode = _mode(colours, weights, m, inverse_scale2, votes)
                 support[v, u] = agreed
+                if not solid[v, u]:
+                    own = images[view, v, u]
+                    mode = _other_look(colours, weights, m, inverse_scale2, own, mode, agreed)
                 colour[v, u, 0], colour[v, u, 1], colour[v, u, 2] = mode

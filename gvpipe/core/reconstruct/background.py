@@ -21,6 +21,10 @@ MOST_OTHERS = 24
 """Views asked for the background of one: the nearest; the cost grows with their square."""
 
 
+Mask = NDArray[np.uint8]
+"""(H, W) uint8: 255 where it holds, 0 where not."""
+
+
 @dataclass(frozen=True)
 class GroundModel:
     """The ground as one picture seen from above, obstacles removed.
@@ -93,12 +97,15 @@ class SeenGround:
         Weight of the views that agree; 0 where none sees the ground.
     open_weight, total_weight : (H, W) float32
         Weight of the views from which no known obstacle hides the ground, and of all views.
+    solid : (H, W) bool
+        Where the view may show an obstacle: everywhere until obstacles become known.
     """
 
     colour: NDArray[np.float32]
     support: NDArray[np.float32]
     open_weight: NDArray[np.float32]
     total_weight: NDArray[np.float32]
+    solid: NDArray[np.bool_]
 
 
 @dataclass
@@ -111,10 +118,13 @@ class GroundWitnesses:
         With the pictures to compare (levelled, perhaps reduced).
     hidden : (N, H, W) uint8
         255 where an obstacle hides the ground in a picture; replaced as obstacles become known.
+    solid : (N, H, W) uint8
+        Not 0 where a picture may show an obstacle: everywhere until obstacles become known.
     """
 
     views: list[PosedView]
     hidden: NDArray[np.uint8] = field(init=False)
+    solid: NDArray[np.uint8] = field(init=False)
 
     def __post_init__(self) -> None:
         sizes = [(v.camera.width, v.camera.height) for v in self.views]
@@ -124,24 +134,25 @@ class GroundWitnesses:
         for k, (w, h) in enumerate(sizes):
             self._images[k, :h, :w] = self.views[k].pixels
         self.hidden = np.zeros((len(sizes), height, width), np.uint8)
+        self.solid = np.full_like(self.hidden, 255)
         self._pixel_from_ground = np.stack(
             [pixel_from_plane(v.camera, v.map_from_camera) for v in self.views]
         )
         self._centres = np.stack([v.map_from_camera.translation for v in self.views])
 
-    def hide(self, masks: Sequence[NDArray[np.uint8]]) -> None:
-        """Say where obstacles hide the ground: one mask a view, 0..255, of any size."""
-        for k, mask in enumerate(masks):
-            w, h = (int(a) for a in self._sizes[k])
-            self.hidden[k, :h, :w] = cv2.resize(mask, (w, h), interpolation=cv2.INTER_LINEAR)
+    def hide(self, hidden: Sequence[Mask], solid: Sequence[Mask]) -> None:
+        """Say where obstacles hide the ground and where they stand: masks a view, of any size."""
+        for k, (w, h) in enumerate(self._sizes.tolist()):
+            for into, mask in ((self.hidden, hidden[k]), (self.solid, solid[k])):
+                into[k, :h, :w] = cv2.resize(mask, (w, h), interpolation=cv2.INTER_LINEAR)
 
     def behind(self, index: int, colour_scale: float) -> SeenGround:
         """Ask the other views for the ground behind one; colours closer than the scale agree."""
         view = self.views[index]
         shape = view.pixels.shape[:2]
-        seen = SeenGround(
-            np.zeros((*shape, 3), np.float32), *(np.zeros(shape, np.float32) for _ in range(3))
-        )
+        colour = np.zeros((*shape, 3), np.float32)
+        support, opened, total = (np.zeros(shape, np.float32) for _ in range(3))
+        solid = self.solid[index, : shape[0], : shape[1]] > 0
         ground_behind(
             index,
             self._others(index),
@@ -154,12 +165,13 @@ class GroundWitnesses:
             self._centres,
             colour_scale,
             REACH,
-            seen.colour,
-            seen.support,
-            seen.open_weight,
-            seen.total_weight,
+            solid,
+            colour,
+            support,
+            opened,
+            total,
         )
-        return seen
+        return SeenGround(colour, support, opened, total, solid)
 
     def _others(self, index: int) -> NDArray[np.int64]:
         """Return the views whose pictures centre on ground nearest to where this one does."""

@@ -27,7 +27,7 @@ __all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_fr
 REGION_TOLERANCE = 0.05
 """Share of the views that may contradict a point where obstacles are looked for."""
 
-SURE_VIEWS, FAILING_SHARE = 16, 0.2
+SURE_VIEWS, FAILING_SHARE = 16, 0.06
 """Views that must all agree, and the share of further ones whose silhouettes may fail."""
 
 NIL = 1e-8

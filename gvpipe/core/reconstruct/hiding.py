@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gvpipe.core.reconstruct.background import Mask
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.hull import (
@@ -29,6 +30,9 @@ FINE_PER_HEIGHT = 100
 GROWTH = 2
 """Pixels by which what hides the ground is grown: a hull too small by one would pass the
 obstacle's edge, in its place in all views, for ground."""
+
+EDGE = 2
+"""Pixels within which the tolerant hull's outline may show the ground beside an obstacle."""
 
 MARGIN = 4
 """Coarse voxels around a region: its tolerant hull may still grow."""
@@ -76,7 +80,7 @@ def hidden_ground(
     shapes: Sequence[Silhouette],
     solids: Sequence[Solid],
     pool: ThreadPoolExecutor,
-) -> list[NDArray[np.uint8]]:
+) -> list[Mask]:
     """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's, grown.
 
     Parameters
@@ -97,10 +101,39 @@ def hidden_ground(
     below = [down_to_ground(solid.inside) for solid in solids]
     around = np.ones((2 * GROWTH + 1,) * 2, np.uint8)
 
-    def one(index: int) -> NDArray[np.uint8]:
+    def one(index: int) -> Mask:
         mask = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * np.uint8(255)
         for filled, solid in zip(below, solids, strict=True):
             mask = np.maximum(mask, render_mask(filled, solid.grid, views[index]))
         return cv2.dilate(mask, around).astype(np.uint8)
 
     return list(pool.map(one, range(len(views))))
+
+
+def bodies_seen(
+    views: Sequence[PosedView], solids: Sequence[Solid], pool: ThreadPoolExecutor
+) -> list[Mask]:
+    """Where each view shows a tolerant hull, less the edge of its outline.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+    solids : sequence of Solid
+        What may stand, see :func:`tolerant_solids`.
+    pool : ThreadPoolExecutor
+        Works on the views.
+
+    Returns
+    -------
+    solid : list of (H, W) uint8
+        255 where a view shows it, else 0.
+    """
+    around = np.ones((2 * EDGE + 1,) * 2, np.uint8)
+
+    def one(view: PosedView) -> Mask:
+        mask = np.zeros(view.pixels.shape[:2], np.uint8)
+        for solid in solids:
+            mask = np.maximum(mask, render_mask(solid.inside, solid.grid, view))
+        return cv2.erode(mask, around).astype(np.uint8)
+
+    return list(pool.map(one, views))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gvpipe.core.reconstruct.background import (
     GroundModel,
     GroundWitnesses,
+    Mask,
     SeenGround,
     below_horizon,
     reduced,
@@ -19,7 +20,7 @@ from gvpipe.core.reconstruct.background import (
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.ghosts import without_ghosts
-from gvpipe.core.reconstruct.hiding import hidden_ground, tolerant_solids
+from gvpipe.core.reconstruct.hiding import bodies_seen, hidden_ground, tolerant_solids
 from gvpipe.core.reconstruct.likeness import (
     Features,
     GroundNoise,
@@ -50,6 +51,10 @@ and its multiple at which obstacle and ground are equally likely."""
 
 GAIN_LIMIT = 1.5
 """Largest log odds of one pixel: texture that happens to match must not outvote its area."""
+
+PLAIN_SHARE = 0.5
+"""Share of the log odds for ground that equal colour has without texture found again: neighbours
+of one colour are no independent witnesses, and obstacles may have it too."""
 
 HALF_SUPPORT = 0.7
 """Weight of agreeing views at which the ground behind a pixel is half certain."""
@@ -115,17 +120,19 @@ def silhouettes(
     small = GroundWitnesses([reduced(v, p, reduction(v)) for v, p in pairs])
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
-        hidden: list[NDArray[np.uint8]] = []
+        hidden: list[Mask] = []
+        solid: list[Mask] = []
         raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
             shapes = _round(small, scale, options, raised, index == 0, pool)
             solids = tolerant_solids(small.views, shapes, options, tolerance, threads)
             hidden = hidden_ground(small.views, shapes, solids, pool)
-            small.hide(hidden)
+            solid = bodies_seen(small.views, solids, pool)
+            small.hide(hidden, solid)
             raised = raised_surfaces(small.views, solids, threads)
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
-            full.hide(hidden)
+            full.hide(hidden, solid)
         shapes = _round(full, scale, options, raised, not hidden, pool)
     return without_ghosts(views, shapes, options, threads)
 
@@ -209,7 +216,7 @@ def _silhouette(
 ) -> Silhouette:
     """Cut one view into obstacle and ground."""
     known = seen.support > 0
-    measured = _measured_gain(view, seen, noise, options)
+    measured = _measured_gain(view, seen, noise, options, first)
     hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
     gain = measured + options.hidden_gain * hidden.astype(np.float32) + extra
     region = segment(gain, view.pixels, options.outline)
@@ -253,16 +260,19 @@ def _guessed(
 
 
 def _measured_gain(
-    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions
+    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions, first: bool
 ) -> NDArray[np.float32]:
     """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0
     off, recognised = difference(_compared(view, seen), noise)
     eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
     odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
+    odds = np.where(odds < 0, odds * (PLAIN_SHARE + (1 - PLAIN_SHARE) * recognised), odds)
     agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
     agreeing = np.clip(agreeing, 0, 1)
     certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
     # views thought not to see the ground that still agree on its texture do see it
     certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
+    if not first:  # where most views see a body, gloss on it may pass for ground, texture will not
+        certain = np.where(seen.solid & (odds < 0), recognised * agreeing, certain)
     return np.where(known, odds * certain, 0).astype(np.float32)
