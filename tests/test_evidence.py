@@ -27,6 +27,7 @@ from gvpipe.core.reconstruct.hull import (
     entry_depth,
     log_support,
     pixel_from_map,
+    regions_of,
     render_mask,
     standing,
 )
@@ -116,6 +117,20 @@ def test_one_region_holds_the_box(views, shapes):
     assert (regions[0].lower <= np.array(LOW)).all()
     assert (regions[0].upper >= np.array(HIGH)).all()
     assert (regions[0].upper - regions[0].lower < 0.8).all()
+
+
+def test_every_part_of_the_hull_is_in_one_region():
+    grid = VoxelGrid.over(np.zeros(3), np.array([6.0, 6.0, 2.0]), (60, 60, 20))
+    inside = np.zeros(grid.shape, bool)
+    inside[5:40, 5:8, :5] = inside[5:8, 5:40, :5] = True  # an angle, with a post in its corner
+    inside[20:24, 20:24, :10] = True
+    inside[50:55, 50:55, :5] = inside[51:54, 44:47, 12:15] = True  # apart; what floats beside it
+    regions = regions_of(inside, grid, 1)
+    points = grid.centres()[inside]
+    held = sum(((r.lower < points) & (points < r.upper)).all(axis=-1).astype(int) for r in regions)
+    assert len(regions) == 3
+    assert (held == 1).all()
+    assert all(r.lower[2] == 0 for r in regions)
 
 
 def test_data_terms_are_negative_inside_and_positive_outside(views, shapes):

@@ -16,6 +16,8 @@ from gvpipe.core.types import Float, PosedView
 
 Volume = NDArray[np.float32]
 Bool = NDArray[np.bool_]
+Box = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""First voxel of a box and the first one beyond it, (3,) int64 each."""
 
 COARSE_VOXELS = 2_000_000
 """Voxels of the search for regions: bounds its time to about a second for ten views."""
@@ -229,17 +231,34 @@ def _common_ground(views: Sequence[PosedView], lower: Float, upper: Float) -> tu
 
 
 def regions_of(inside: Bool, grid: VoxelGrid, margin: int) -> list[Region]:
-    """Boxes around the parts of a coarse hull, grown by a margin of voxels; largest first."""
+    """Boxes around the parts of a coarse hull, grown by a margin of voxels; largest first.
+
+    Boxes that overlap are joined, so that nothing stands in two of them.
+    """
     grown = ndimage.binary_dilation(inside, iterations=margin)
     labels, _ = ndimage.label(grown)
-    regions = []
-    for box in ndimage.find_objects(labels):
-        low = np.array([s.start for s in box]) - 0.5
-        high = np.array([s.stop for s in box]) - 0.5
-        lower = grid.origin + low * grid.spacing
-        lower[2] = 0.0
-        regions.append(Region(lower, grid.origin + high * grid.spacing))
+    boxes = [  # all of them from the ground up
+        (np.array([x.start, y.start, 0]), np.array([x.stop, y.stop, z.stop]))
+        for x, y, z in ndimage.find_objects(labels)
+    ]
+    regions = [
+        Region(*(grid.origin + (corner - 0.5) * grid.spacing for corner in box))
+        for box in _joined(boxes)
+    ]
     return sorted(regions, key=lambda r: -float(np.prod(r.upper - r.lower)))
+
+
+def _joined(boxes: Sequence[Box]) -> list[Box]:
+    """Join boxes, lower and upper corners, as long as any two have a common inside."""
+    apart: list[Box] = []
+    for box in boxes:
+        low, high = box
+        while over := [b for b in apart if (b[0] < high).all() and (low < b[1]).all()]:
+            apart = [b for b in apart if not any(b is o for o in over)]
+            low = np.minimum.reduce([low, *(b[0] for b in over)])
+            high = np.maximum.reduce([high, *(b[1] for b in over)])
+        apart.append((low, high))
+    return apart
 
 
 def region_grid(region: Region, voxels: int, finest: float) -> VoxelGrid:

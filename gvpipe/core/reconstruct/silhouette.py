@@ -230,7 +230,7 @@ def _silhouette(
         learnt = colour_gain(view.pixels, region, known, GAIN_LIMIT)
         region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
     region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
-    unknown = ~below_horizon(view) & (region <= 0.5)
+    unknown = ~(known & below_horizon(view)) & (region <= 0.5)
     if first:  # an obstacle's foot, which all views see in its place, does not differ yet
         unknown |= _guessed(region, (measured > LEAST_GAIN).astype(np.float32), seen, FIRST_SHARE)
     else:
