@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -159,18 +160,21 @@ class Reporter:
         """Print the closing table of a command and the files it wrote."""
         if self.quiet:
             return
-        table = Table(title=None, box=None, show_header=False, pad_edge=False)
-        keys = [printable(key) for key, _ in rows] + ["wrote"] * bool(paths)
-        width = max(map(cell_len, keys), default=0)
-        table.add_column(style="bold", min_width=width)
-        table.add_column(overflow="fold")
-        for key, (_, value) in zip(keys, rows, strict=False):
-            table.add_row(Text(key), Text(printable(value)))
+        keys = [printable(key) for key, _ in rows]
+        width = max(map(cell_len, [*keys, "wrote"])) + 2
         self._out.print(Text(title, style="bold"))
-        self._out.print(table)
-        for path in paths:  # not in the table, which would wrap them: a path is to be copied
-            head = Text("wrote".ljust(width + 2), style="bold")
-            self._out.print(head + Text(printable(shortest(path)), style="not bold"))
+        for key, (_, value) in zip(keys, rows, strict=True):
+            self._row(key, Text(printable(value)), width, fold=self._out.is_terminal)
+        for path in paths:  # never folded: a path is to be copied
+            self._row("wrote", Text(printable(shortest(path))), width, fold=False)
+
+    def _row(self, key: str, value: Text, width: int, *, fold: bool) -> None:
+        """Print a key in bold and its value beside it, folded at the terminal's edge or not."""
+        room = max(self._out.width - width, 20)
+        for k, line in enumerate(value.wrap(self._out, room, overflow="fold") if fold else [value]):
+            head = key if k == 0 else ""
+            self._out.print(Text(head + " " * (width - cell_len(head)), style="bold"), end="")
+            self._out.print(line)
 
 
 class Ticker:
@@ -211,6 +215,17 @@ def section_help(section: str) -> None:
     for heading in ("key", "default", "meaning, unit"):
         table.add_column(heading, justify="left", overflow="fold")
     for key, field in model.model_fields.items():
+        meaning = field.description or ""
+        choices = _choices(field.annotation)
+        if not all(choice in meaning for choice in choices):
+            meaning = f"{meaning}: {', '.join(choices)}"
         shown = "null" if field.default is None else str(field.default).strip("()")
-        table.add_row(Text(key), Text(shown), Text(field.description or ""))
+        table.add_row(Text(key), Text(shown), Text(meaning))
     Console(highlight=False).print(table)
+
+
+def _choices(annotation: Any) -> list[str]:
+    """List the words that a key may be, also those beside something else."""
+    if get_origin(annotation) is Literal:
+        return [str(choice) for choice in get_args(annotation)]
+    return [word for part in get_args(annotation) for word in _choices(part)]

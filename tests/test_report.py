@@ -118,6 +118,11 @@ def test_the_graph_lies_on_the_mosaic(chain: TinySet, page: Page) -> None:
     corner = map_from_pixel @ (-0.5, -0.5, 1)
     far = map_from_pixel @ (mosaic["width"] - 0.5, mosaic["height"] - 0.5, 1)  # type: ignore[operator]
     assert [image["x"], image["y"]] == pytest.approx(corner[:2].tolist())
+    poses = chain.document("slam")["poses"]
+    for axis in "xy":
+        low, high = figure["layout"][f"{axis}axis"]["range"]  # type: ignore[index]
+        assert low < min(p[axis] for p in poses)  # type: ignore[union-attr]
+        assert max(p[axis] for p in poses) < high  # type: ignore[union-attr]
     assert [image["x"] + image["sizex"], image["y"] - image["sizey"]] == pytest.approx(
         far[:2].tolist()
     )

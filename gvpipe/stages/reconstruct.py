@@ -16,7 +16,7 @@ from gvpipe.core.types import PosedView
 from gvpipe.errors import InputError
 from gvpipe.formats.raster import read_png
 from gvpipe.records import Body, MosaicBody, ObstacleRow, ReconstructBody, SlamBody
-from gvpipe.stages.contract import Context, Outcome, posed_views
+from gvpipe.stages.contract import Context, Outcome, posed_views, shortened
 from gvpipe.stages.reconstruct_files import Scene, Volume, write_scene
 from gvpipe.stages.reconstruct_map import RosMap, map_with_obstacles, read_map, write_ros_map
 from gvpipe.stages.reconstruct_methods import METHODS, grid_over
@@ -64,14 +64,14 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
         iterations=max((s.iterations for s in solutions), default=0),
         converged=all(s.converged for s in solutions),
     )
-    summary = tuple(
+    summary = [
         (
             f"obstacle {row.id}",
             f"{row.height_m:.3f} m high, {row.volume_m3 * 1e3:.2f} litres, "
             f"confidence {row.confidence:.2f} from {row.views} views",
         )
-        for row in rows[:12]
-    )
+        for row in rows
+    ]
     return Outcome(
         body,
         Reconstruction(
@@ -79,7 +79,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
             map_with_obstacles(bare, rows, views),
         ),
         no_result=None if rows else "nothing stands on the ground that enough views see",
-        summary=(("obstacles", str(len(rows))), *summary),
+        summary=(("obstacles", str(len(rows))), *shortened(summary, 12)),
     )
 
 
