@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from gvpipe.artefacts import Artefact
+from gvpipe.chain import scale_source
 from gvpipe.config import Config
 from gvpipe.dataset import Dataset
 from gvpipe.names import escape
@@ -55,6 +56,11 @@ class Run:
         return escape("/".join(Path(self.config.output).parts[-2:]))
 
     @property
+    def known(self) -> bool:
+        """Whether all poses were given: the map then does not rest on matches."""
+        return scale_source(self.config) == "poses"
+
+    @property
     def motions(self) -> dict[tuple[str, str], MotionRow]:
         """Motions by their pair of images."""
         artefact = self.get(LocalizeBody)
@@ -76,7 +82,7 @@ class Run:
         match = self.get(MatchBody)
         rejected = [row for row in match.body.pairs if row.status != "ok"] if match else []
         # listed pairs and neighbours are meant to match; of all pairs most never could
-        if match and self.config.match.pairs != "exhaustive":
+        if match and self.config.match.pairs != "exhaustive" and not self.known:
             for row in rejected:
                 yield f"{row.image_i} and {row.image_j}: not matched: {row.reason}"
 

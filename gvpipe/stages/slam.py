@@ -61,13 +61,15 @@ def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
     dataset = context.dataset
     if needs(context.config):
         body, evidence = _mapped(context)
+        rests_on = ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected")
     else:
         body, evidence = _known(dataset), SlamEvidence(dataset)
+        rests_on = ("poses", "known, taken from the files as they are")
     registered = len(body.poses)
     summary = (
         ("registered", f"{registered} of {len(dataset.entries)} images"),
         ("maps", str(body.components)),
-        ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected"),
+        rests_on,
         *(control_summary(body)),
         *shortened([(f"not on a map: {r.image}", r.reason) for r in body.unregistered], 5),
     )

@@ -28,8 +28,10 @@ COMMANDS = {
     "localize": "Relative pose of two views: camera motion, tilts and metric shift of each pair.",
     "overlap": "Find pictures of different robots that show the same ground.",
     "slam": "Put all robots on one metric map; draw the location graph.",
-    "mosaic": "Compose the overhead map with the obstacles taken out, and a ROS map.",
-    "reconstruct": "Recover the obstacles' shape in 3D.",
+    "mosaic": "Compose the overhead map, obstacles taken out where a picture sees the ground.\n\n"
+    "An obstacle seen from one side only leaves a smear. The ROS map is of the ground alone "
+    "and may call footprints free: drive by the one of `gvpipe reconstruct`.",
+    "reconstruct": "Recover the obstacles' shape in 3D, and the ROS map to drive by.",
 }
 
 EXAMPLES = {
