@@ -135,6 +135,7 @@ class Reporter:
             handler = logging.StreamHandler(sys.stderr)
             handler.setFormatter(_Lines("%(levelname)-8s %(message)s"))
         handler.addFilter(_Once())
+        self._spoke = time.monotonic()
         log.handlers[:] = [handler]
         log.propagate = False
         log.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)
@@ -143,7 +144,7 @@ class Reporter:
     def progress(self, what: str, total: int) -> Iterator["Ticker"]:
         """Show how far a loop is: a bar on a terminal, a line now and then elsewhere."""
         if not self._live:
-            yield Ticker(what, total)
+            yield Ticker(what, total, self._alive)
             return
         columns = (
             TextColumn("{task.description}"),
@@ -154,10 +155,18 @@ class Reporter:
         )
         with Progress(*columns, console=self._err, transient=True) as bar:
             task = bar.add_task(what, total=total)
-            yield _BarTicker(what, total, lambda n: bar.advance(task, n))
+            yield _BarTicker(lambda n: bar.advance(task, n))
+
+    def _alive(self, message: str) -> None:
+        """Log a sign of life if nothing has been said for long, be it by an earlier loop."""
+        now = time.monotonic()
+        if now - self._spoke >= HEARTBEAT_S:
+            self._spoke = now
+            log.info("%s", message)
 
     def result(self, title: str, rows: Sequence[tuple[str, str]], paths: Sequence[Path]) -> None:
         """Print the closing table of a command and the files it wrote."""
+        self._spoke = time.monotonic()
         if self.quiet:
             return
         keys = [printable(key) for key, _ in rows]
@@ -178,26 +187,22 @@ class Reporter:
 
 
 class Ticker:
-    """Counts steps of a loop and logs a heartbeat."""
+    """Counts the steps of a loop and tells now and then how far it is."""
 
-    def __init__(self, what: str, total: int):
-        self._what, self._total, self._done = what, total, 0
-        self._last = time.monotonic()
+    def __init__(self, what: str, total: int, tell: Callable[[str], object]):
+        self._what, self._total, self._done, self._tell = what, total, 0, tell
+        self.advance(0)
 
     def advance(self, steps: int = 1) -> None:
         """Count `steps` more."""
         self._done += steps
-        now = time.monotonic()
-        if now - self._last >= HEARTBEAT_S:
-            self._last = now
-            log.info("%s: %d of %d", self._what, self._done, self._total)
+        self._tell(f"{self._what}: {self._done} of {self._total}")
 
 
 class _BarTicker(Ticker):
     """Moves a progress bar instead."""
 
-    def __init__(self, what: str, total: int, move: Callable[[int], object]):
-        super().__init__(what, total)
+    def __init__(self, move: Callable[[int], object]):
         self._move = move
 
     def advance(self, steps: int = 1) -> None:

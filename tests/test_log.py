@@ -112,3 +112,17 @@ def test_a_summary_says_what_it_leaves_out() -> None:
 def test_help_lists_the_words_a_key_may_be(capsys: pytest.CaptureFixture[str]) -> None:
     section_help("overlap")
     assert "absolute, squared, intersection, chi2" in " ".join(capsys.readouterr().out.split())
+
+
+def test_without_a_terminal_long_work_says_that_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("gvpipe.report.time.monotonic", lambda: now)
+    reporter = Reporter()
+    for what in ("first", "second"):  # loops of 20 s each: silence counts, not the loop
+        with reporter.progress(what, 2) as ticker:
+            for _ in range(2):
+                now += 10.0
+                ticker.advance()
+    assert capsys.readouterr().err.split() == ["INFO", "second:", "1", "of", "2"]

@@ -10,7 +10,7 @@ from gvpipe.core.reconstruct.background import GroundModel
 from gvpipe.core.reconstruct.evidence import find_regions
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.mesh import Obstacle, find_obstacles
-from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, silhouettes
+from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, count_steps, silhouettes
 from gvpipe.core.reconstruct.solution import Solution
 from gvpipe.core.types import PosedView
 from gvpipe.errors import InputError
@@ -45,7 +45,8 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()
     ground, bare = _ground(context), read_map(context.artefact(MosaicBody))
-    shapes = silhouettes(views, ground, options, context.jobs)
+    with context.progress("silhouettes", count_steps(views, options)) as ticker:
+        shapes = silhouettes(views, ground, options, context.jobs, ticker.advance)
     regions = find_regions(views, shapes, options, context.jobs)
     volumes = []
     with context.progress("reconstruct", len(regions)) as ticker:
