@@ -68,7 +68,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     summary = [
         (
             f"obstacle {row.id}",
-            f"{row.height_m:.3f} m high, {row.volume_m3 * 1e3:.3g} litres, "
+            f"{row.height_m:.3f} m high, {float(f'{1e3 * row.volume_m3:.3g}'):g} litres, "
             f"confidence {row.confidence:.2f} from {row.views} views",
         )
         for row in rows
