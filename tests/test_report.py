@@ -10,6 +10,7 @@ import pytest
 
 from gvpipe.artefacts import read_artefact
 from gvpipe.cli import run
+from gvpipe.commands.report_pairs import KNOWN
 from gvpipe.commands.report_space import MOST_VERTICES, thinned
 from gvpipe.core.reconstruct.mesh import Mesh
 from gvpipe.records import ReportBody
@@ -243,3 +244,19 @@ def test_a_browser_shows_the_page_without_errors_or_network(out: Path) -> None:
         browser.close()
     assert errors == []
     assert requests == [address]
+
+
+def test_known_poses_make_unmatched_pairs_no_matter(
+    chain: TinySet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = [f"--set=robots.{r}.poses={chain.out() / 'slam' / r}.tum" for r in "AB"]
+    pairs = "--set=match.pairs=[[A/0.png, B/0.png]]"
+    shared = [str(chain.config), "--out", str(tmp_path / "run"), *known, pairs]
+    assert run(["run", *shared, "--stages", "match,slam"]) in (0, 5)
+    said = capsys.readouterr().out
+    assert "poses       known, taken from the files as they are" in said
+    assert "edges" not in said
+    assert run(["report", *shared, "-q"]) == 0
+    page = Page(tmp_path / "run" / "report" / "report.html")
+    assert any(KNOWN in words for words in page.words)
+    assert not any("not matched" in words for words in page.words)

@@ -70,7 +70,8 @@ class Run:
     def warnings(self) -> Iterator[str]:
         """Say all that a reader should not overlook."""
         for name, artefact in self.artefacts.items():
-            if artefact.header.reason:
+            needed = not self.known or name not in ("match", "localize")
+            if artefact.header.reason and needed:
                 yield f"{name}: no result: {artefact.header.reason}"
         for skipped in self.dataset.skipped:
             yield f"{skipped.image}: skipped: {skipped.reason}"
