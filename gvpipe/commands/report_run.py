@@ -8,6 +8,7 @@ from typing import Any, TypeVar, cast
 from gvpipe.artefacts import Artefact
 from gvpipe.chain import scale_source
 from gvpipe.config import Config
+from gvpipe.core.reconstruct.agreement import ONE_SIDE_DEG
 from gvpipe.dataset import Dataset
 from gvpipe.names import escape
 from gvpipe.records import (
@@ -107,3 +108,6 @@ class Run:
         for row in found.body.obstacles:
             if row.confidence < DOUBTFUL:
                 yield f"obstacle {row.id}: doubtful, confidence {row.confidence:.2f}"
+            if row.azimuth_span_deg < ONE_SIDE_DEG:
+                side = f"from one side only, over {row.azimuth_span_deg:.0f} degrees"
+                yield f"obstacle {row.id}: seen {side}; its far side is a guess"

@@ -147,7 +147,7 @@ def space(run: Run, figures: list[Json]) -> str:
     figures.append(scene_figure("space", slam.body, component, run.get(MosaicBody), mesh))
     rows = found.body.obstacles if found else ()
     listed = table(
-        ["obstacle", "height, m", "volume, l", "x, m", "y, m", "confidence", "views"],
+        ["obstacle", "height, m", "volume, l", "x, m", "y, m", "confidence", "views", "within, °"],
         [
             (
                 cell(row.id),
@@ -157,6 +157,7 @@ def space(run: Run, figures: list[Json]) -> str:
                 number(row.centroid[1], 3),
                 number(row.confidence, 2),
                 number(row.views, 0),
+                number(row.azimuth_span_deg, 0),
             )
             for row in rows
         ],

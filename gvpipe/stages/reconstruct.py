@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gvpipe.config import Config
-from gvpipe.core.reconstruct.agreement import agreement
+from gvpipe.core.reconstruct.agreement import ONE_SIDE_DEG, agreement
 from gvpipe.core.reconstruct.background import GroundModel
 from gvpipe.core.reconstruct.evidence import find_regions
 from gvpipe.core.reconstruct.grid import VoxelGrid
@@ -69,7 +71,9 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
         (
             f"obstacle {row.id}",
             f"{row.height_m:.3f} m high, {float(f'{1e3 * row.volume_m3:.3g}'):g} litres, "
-            f"confidence {row.confidence:.2f} from {row.views} views",
+            f"confidence {row.confidence:.2f} from {row.views} views"
+            + ", all on one side"
+            * (row.azimuth_span_deg < ONE_SIDE_DEG),
         )
         for row in rows
     ]
@@ -116,6 +120,7 @@ def _rows(
             centroid=obstacle.centroid,
             confidence=agreed.confidence,
             views=agreed.views,
+            azimuth_span_deg=float(np.degrees(agreed.azimuth_span)),
         )
         for k, (obstacle, agreed) in enumerate(zip(found, agreements, strict=True))
     )
