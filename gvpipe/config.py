@@ -116,7 +116,7 @@ class RobotConfig(Section):
 class MatchConfig(Section):
     """Ground homographies between pairs of images."""
 
-    pairs: Pairs = Field("consecutive", description="which images are matched; an image is robot/file name")
+    pairs: Pairs = Field("consecutive", description="consecutive, exhaustive, or a list of pairs; an image is robot/file name")
     features: Literal["sift", "invariants"] = Field("sift", description="what is matched between overhead views")
 
 

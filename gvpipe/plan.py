@@ -1,6 +1,6 @@
 """What a command would do, without doing it: freshness, pairs, time and memory."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from math import prod
 
 from gvpipe.chain import Chain, stage_module
@@ -32,34 +32,40 @@ BYTES_PER_VOXEL = 42
 """Memory of the reconstruction beside its libraries, measured likewise: within a quarter."""
 
 
-def plan_stage(
-    name: str,
-    session: Session,
-    reporter: Reporter,
-    *,
-    force: bool,
-    before: Collection[str] = (),
-) -> None:
-    """Say what a command of the chain would do; write nothing.
+def plan_stages(names: Sequence[str], session: Session, reporter: Reporter, *, force: bool) -> None:
+    """Say what commands of the chain would do, one after the other; write nothing.
 
     Parameters
     ----------
-    name : str
-        One of :data:`gvpipe.chain.STAGES`.
+    names : sequence of str
+        Of :data:`gvpipe.chain.STAGES`, in its order.
     session : Session
-        Configuration and images, shared by the commands of one run.
+        Configuration and images.
     reporter : Reporter
         Where it is said.
     force : bool
-        Whether it would run even if its artefact is fresh.
-    before : collection of str
-        Commands that the same run would do before it.
+        Whether they would run even if their artefacts are fresh.
 
     Raises
     ------
     InputError
         If there is no usable picture, or a listed pair names one that is not there.
     """
+    times = [
+        _plan_stage(name, session, reporter, force=force, before=names[:k])
+        for k, name in enumerate(names)
+    ]
+    if len(names) > 1:
+        run = sum(time is not None for time in times)
+        said = f"about {sum(time or 0.0 for time in times):.0f} s in all"
+        rows = [("commands", f"{run} of {len(names)} would run")]
+        reporter.result("gvpipe run", rows + [("time", said)] * bool(run), [])
+
+
+def _plan_stage(
+    name: str, session: Session, reporter: Reporter, *, force: bool, before: Collection[str]
+) -> float | None:
+    """Say what one command would do after those before it; returns seconds, None if nothing."""
     config, dataset, jobs = session.config, session.dataset, session.jobs
     chain = Chain(config, dataset)
     rows = [("images", f"{len(dataset.entries)} used, {len(dataset.skipped)} skipped")]
@@ -78,10 +84,13 @@ def plan_stage(
     if name == "match":
         rows.append(("pairs", str(len(planned_pairs(config, dataset)))))
     seconds, size = estimate(name, config, dataset, jobs)
-    rows.append(("time", f"about {seconds:.0f} s with {jobs} job{'s' * (jobs > 1)}, if it runs"))
-    rows.append(("memory", f"about {size / 2**20:.0f} MB"))
+    if why or not ready:
+        until = "" if ready else ", if it runs"
+        rows.append(("time", f"about {seconds:.0f} s with {jobs} job{'s' * (jobs > 1)}{until}"))
+        rows.append(("memory", f"about {size / 2**20:.0f} MB"))
     rows.append(("wrote", "nothing: --dry-run"))
     reporter.result(f"gvpipe {name}", rows, [])
+    return seconds if why and ready else None
 
 
 def estimate(name: str, config: Config, dataset: Dataset, jobs: int) -> tuple[float, int]:

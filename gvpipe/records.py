@@ -303,7 +303,8 @@ class ObstacleRow(Record):
     """One obstacle standing on the ground.
 
     `confidence`, 0 to 1, is the mean over `views` views of intersection over union of the
-    obstacle's picture and the view's silhouette near it.
+    obstacle's picture and the view's silhouette near it; `azimuth_span_deg` is the smallest
+    angle, seen from above, that holds the directions in which these views lie.
     """
 
     id: int
@@ -313,6 +314,7 @@ class ObstacleRow(Record):
     centroid: Vector3
     confidence: float
     views: int
+    azimuth_span_deg: float
 
 
 class ReconstructBody(Body):

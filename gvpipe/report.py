@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -134,6 +135,7 @@ class Reporter:
             handler = logging.StreamHandler(sys.stderr)
             handler.setFormatter(_Lines("%(levelname)-8s %(message)s"))
         handler.addFilter(_Once())
+        self._spoke = time.monotonic()
         log.handlers[:] = [handler]
         log.propagate = False
         log.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)
@@ -142,7 +144,7 @@ class Reporter:
     def progress(self, what: str, total: int) -> Iterator["Ticker"]:
         """Show how far a loop is: a bar on a terminal, a line now and then elsewhere."""
         if not self._live:
-            yield Ticker(what, total)
+            yield Ticker(what, total, self._alive)
             return
         columns = (
             TextColumn("{task.description}"),
@@ -153,47 +155,54 @@ class Reporter:
         )
         with Progress(*columns, console=self._err, transient=True) as bar:
             task = bar.add_task(what, total=total)
-            yield _BarTicker(what, total, lambda n: bar.advance(task, n))
+            yield _BarTicker(lambda n: bar.advance(task, n))
+
+    def _alive(self, message: str) -> None:
+        """Log a sign of life if nothing has been said for long, be it by an earlier loop."""
+        now = time.monotonic()
+        if now - self._spoke >= HEARTBEAT_S:
+            self._spoke = now
+            log.info("%s", message)
 
     def result(self, title: str, rows: Sequence[tuple[str, str]], paths: Sequence[Path]) -> None:
         """Print the closing table of a command and the files it wrote."""
+        self._spoke = time.monotonic()
         if self.quiet:
             return
-        table = Table(title=None, box=None, show_header=False, pad_edge=False)
-        keys = [printable(key) for key, _ in rows] + ["wrote"] * bool(paths)
-        width = max(map(cell_len, keys), default=0)
-        table.add_column(style="bold", min_width=width)
-        table.add_column(overflow="fold")
-        for key, (_, value) in zip(keys, rows, strict=False):
-            table.add_row(Text(key), Text(printable(value)))
+        keys = [printable(key) for key, _ in rows]
+        width = max(map(cell_len, [*keys, "wrote"])) + 2
         self._out.print(Text(title, style="bold"))
-        self._out.print(table)
-        for path in paths:  # not in the table, which would wrap them: a path is to be copied
-            head = Text("wrote".ljust(width + 2), style="bold")
-            self._out.print(head + Text(printable(shortest(path)), style="not bold"))
+        for key, (_, value) in zip(keys, rows, strict=True):
+            self._row(key, Text(printable(value)), width, fold=self._out.is_terminal)
+        for path in paths:  # never folded: a path is to be copied
+            self._row("wrote", Text(printable(shortest(path))), width, fold=False)
+
+    def _row(self, key: str, value: Text, width: int, *, fold: bool) -> None:
+        """Print a key in bold and its value beside it, folded at the terminal's edge or not."""
+        room = max(self._out.width - width, 20)
+        for k, line in enumerate(value.wrap(self._out, room, overflow="fold") if fold else [value]):
+            head = key if k == 0 else ""
+            self._out.print(Text(head + " " * (width - cell_len(head)), style="bold"), end="")
+            self._out.print(line)
 
 
 class Ticker:
-    """Counts steps of a loop and logs a heartbeat."""
+    """Counts the steps of a loop and tells now and then how far it is."""
 
-    def __init__(self, what: str, total: int):
-        self._what, self._total, self._done = what, total, 0
-        self._last = time.monotonic()
+    def __init__(self, what: str, total: int, tell: Callable[[str], object]):
+        self._what, self._total, self._done, self._tell = what, total, 0, tell
+        self.advance(0)
 
     def advance(self, steps: int = 1) -> None:
         """Count `steps` more."""
         self._done += steps
-        now = time.monotonic()
-        if now - self._last >= HEARTBEAT_S:
-            self._last = now
-            log.info("%s: %d of %d", self._what, self._done, self._total)
+        self._tell(f"{self._what}: {self._done} of {self._total}")
 
 
 class _BarTicker(Ticker):
     """Moves a progress bar instead."""
 
-    def __init__(self, what: str, total: int, move: Callable[[int], object]):
-        super().__init__(what, total)
+    def __init__(self, move: Callable[[int], object]):
         self._move = move
 
     def advance(self, steps: int = 1) -> None:
@@ -211,6 +220,17 @@ def section_help(section: str) -> None:
     for heading in ("key", "default", "meaning, unit"):
         table.add_column(heading, justify="left", overflow="fold")
     for key, field in model.model_fields.items():
+        meaning = field.description or ""
+        choices = _choices(field.annotation)
+        if not all(choice in meaning for choice in choices):
+            meaning = f"{meaning}: {', '.join(choices)}"
         shown = "null" if field.default is None else str(field.default).strip("()")
-        table.add_row(Text(key), Text(shown), Text(field.description or ""))
+        table.add_row(Text(key), Text(shown), Text(meaning))
     Console(highlight=False).print(table)
+
+
+def _choices(annotation: Any) -> list[str]:
+    """List the words that a key may be, also those beside something else."""
+    if get_origin(annotation) is Literal:
+        return [str(choice) for choice in get_args(annotation)]
+    return [word for part in get_args(annotation) for word in _choices(part)]

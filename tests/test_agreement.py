@@ -51,3 +51,14 @@ def test_one_obstacle_does_not_answer_for_another() -> None:
     both = agreement(halves, VIEWS, MASKS)
     assert min(a.confidence for a in both) > 0.85
     assert agreement([], VIEWS, MASKS) == []
+
+
+def test_the_span_tells_views_on_one_side_from_views_all_round() -> None:
+    ball_ = [ball(RADIUS)]
+    (round_,) = agreement(ball_, VIEWS, MASKS)
+    assert np.degrees(round_.azimuth_span) == pytest.approx(288, abs=1)
+    for chosen, span in ((slice(0, 2), 72), (slice(0, 5, 4), 72), (slice(0, 1), 0)):
+        (some,) = agreement(ball_, VIEWS[chosen], MASKS[chosen])
+        assert np.degrees(some.azimuth_span) == pytest.approx(span, abs=1)
+    (nothing,) = agreement(ball_, VIEWS[:1], [np.full_like(MASKS[0], np.nan)])
+    assert nothing.azimuth_span == 0

@@ -35,7 +35,7 @@ from gvpipe.core.reconstruct.likeness import difference, features, learn_noise, 
 from gvpipe.core.reconstruct.photometry import levelled
 from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
-from gvpipe.core.reconstruct.silhouette import silhouettes
+from gvpipe.core.reconstruct.silhouette import count_steps, silhouettes
 from gvpipe.core.reconstruct.slabs import thin_slabs
 from gvpipe.core.reconstruct.stereo import depth_maps
 from gvpipe.core.types import Camera, Mount, Pose, PosedView
@@ -106,7 +106,10 @@ def test_silhouettes_match_the_true_outlines(views, shapes):
 
 
 def test_silhouettes_do_not_depend_on_threads(views, shapes):
-    again = silhouettes(views, NO_GROUND, EvidenceOptions(), threads=1)
+    steps: list[int] = []
+    options = EvidenceOptions()
+    again = silhouettes(views, NO_GROUND, options, threads=1, on_step=lambda: steps.append(1))
+    assert len(steps) == count_steps(views, options)
     for a, b in zip(shapes, again, strict=True):
         np.testing.assert_array_equal(a, b)
 

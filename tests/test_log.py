@@ -1,13 +1,15 @@
 """What -q, -v and --log-json let through."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 
 from gvpipe.cli import run
-from gvpipe.report import Reporter
+from gvpipe.report import Reporter, section_help
+from gvpipe.stages.contract import shortened
 from tests.conftest import TinySet
 
 
@@ -78,3 +80,49 @@ def test_paths_can_be_copied_whatever_the_terminal_is_wide(
         f"wrote   {tmp_path}/other.json",
         "wrote   own.json",
     ]
+
+
+def test_rows_are_folded_on_a_terminal_only(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    rows = [("a", "some words that are too long"), ("longer", "1")]
+    Reporter().result("gvpipe x", rows, [])
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "a       some words that are too long",
+        "longer  1",
+    ]
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
+    Reporter().result("gvpipe x", rows, [])
+    plain = re.sub(r"\x1b\[\d*m", "", capsys.readouterr().out).splitlines()
+    assert [line.strip() for line in plain[1:]] == [
+        "a       some words that are",
+        "too long",
+        "longer  1",
+    ]
+
+
+def test_a_summary_says_what_it_leaves_out() -> None:
+    rows = [(str(k), "x") for k in range(5)]
+    assert shortened(rows, 5) == tuple(rows)
+    assert shortened(rows, 3) == (*rows[:3], ("", "... and 2 more"))
+
+
+def test_help_lists_the_words_a_key_may_be(capsys: pytest.CaptureFixture[str]) -> None:
+    section_help("overlap")
+    assert "absolute, squared, intersection, chi2" in " ".join(capsys.readouterr().out.split())
+
+
+def test_without_a_terminal_long_work_says_that_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("gvpipe.report.time.monotonic", lambda: now)
+    reporter = Reporter()
+    for what in ("first", "second"):  # loops of 20 s each: silence counts, not the loop
+        with reporter.progress(what, 2) as ticker:
+            for _ in range(2):
+                now += 10.0
+                ticker.advance()
+    assert capsys.readouterr().err.split() == ["INFO", "second:", "1", "of", "2"]

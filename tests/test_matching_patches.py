@@ -1,5 +1,7 @@
 """Patch alignment against shifts that are known exactly, and the verdict drawn from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,15 +59,26 @@ def test_says_why_a_patch_cannot_be_aligned() -> None:
 
 def test_verdict_names_numbers_and_thresholds() -> None:
     options = MatchOptions()
-    sound = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=0.1, drift=0.05)
+    sound = Evidence(
+        inliers=80,
+        tested=200,
+        log10_odds=60.0,
+        uncertainty_px=0.1,
+        drift=0.05,
+        tilt_i=0.6,
+        tilt_j=0.7,
+    )
     assert objection(sound, options) is None
     assert sound.probability == pytest.approx(0.999)
-    chance = Evidence(inliers=6, tested=200, log10_odds=-1.0, uncertainty_px=0.1, drift=0.05)
+    chance = replace(sound, inliers=6, log10_odds=-1.0)
     assert "6 of 200" in str(objection(chance, options))
+    few = replace(sound, inliers=15, log10_odds=2.2)
+    assert "odds of 160 to 1 against chance, 10000 to 1 needed" in str(objection(few, options))
     assert chance.probability < 1e-4
-    steep = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=0.1, drift=0.5)
+    steep = replace(sound, drift=0.5)
     assert "29 degrees" in str(objection(steep, options))
-    loose = Evidence(inliers=80, tested=200, log10_odds=60.0, uncertainty_px=9.0, drift=0.05)
+    assert "34 and 40 degrees" in str(objection(steep, options))
+    loose = replace(sound, uncertainty_px=9.0)
     assert "9.0 px" in str(objection(loose, options))
     assert loose.probability < 0.2
 

@@ -45,6 +45,7 @@ def test_a_dry_run_of_several_commands_knows_what_runs_before(
     text = said(capsys, "run", str(tiny.config), "--out", str(out))
     assert "slam would run: after what it reads" in text
     assert "cannot run" not in text
+    assert "commands 6 of 6 would run time about" in text
     # the matches that all of these need are nobody's task
     some = said(capsys, "run", str(tiny.config), "--out", str(out), "--stages", "slam,mosaic")
     assert "slam cannot run" in some
@@ -56,7 +57,10 @@ def test_a_dry_run_after_everything_finds_nothing_to_do(
     chain: TinySet, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for stage in STAGES:
-        assert f"{stage} fresh, nothing to do" in said(capsys, stage, str(chain.config))
+        text = said(capsys, stage, str(chain.config))
+        assert f"{stage} fresh, nothing to do" in text
+        assert "time" not in text
+    assert "commands 0 of 6 would run" in said(capsys, "run", str(chain.config))
     text = said(capsys, "reconstruct", str(chain.config), "--force")
     assert "reconstruct would run: forced" in text
     changed = said(capsys, "mosaic", str(chain.config), "--set", "mosaic.resolution=0.01")

@@ -10,6 +10,7 @@ import pytest
 
 from gvpipe.artefacts import read_artefact
 from gvpipe.cli import run
+from gvpipe.commands.report_pairs import KNOWN
 from gvpipe.commands.report_space import MOST_VERTICES, thinned
 from gvpipe.core.reconstruct.mesh import Mesh
 from gvpipe.records import ReportBody
@@ -118,6 +119,11 @@ def test_the_graph_lies_on_the_mosaic(chain: TinySet, page: Page) -> None:
     corner = map_from_pixel @ (-0.5, -0.5, 1)
     far = map_from_pixel @ (mosaic["width"] - 0.5, mosaic["height"] - 0.5, 1)  # type: ignore[operator]
     assert [image["x"], image["y"]] == pytest.approx(corner[:2].tolist())
+    poses = chain.document("slam")["poses"]
+    for axis in "xy":
+        low, high = figure["layout"][f"{axis}axis"]["range"]  # type: ignore[index]
+        assert low < min(p[axis] for p in poses)  # type: ignore[union-attr]
+        assert max(p[axis] for p in poses) < high  # type: ignore[union-attr]
     assert [image["x"] + image["sizex"], image["y"] - image["sizey"]] == pytest.approx(
         far[:2].tolist()
     )
@@ -238,3 +244,19 @@ def test_a_browser_shows_the_page_without_errors_or_network(out: Path) -> None:
         browser.close()
     assert errors == []
     assert requests == [address]
+
+
+def test_known_poses_make_unmatched_pairs_no_matter(
+    chain: TinySet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = [f"--set=robots.{r}.poses={chain.out() / 'slam' / r}.tum" for r in "AB"]
+    pairs = "--set=match.pairs=[[A/0.png, B/0.png]]"
+    shared = [str(chain.config), "--out", str(tmp_path / "run"), *known, pairs]
+    assert run(["run", *shared, "--stages", "match,slam"]) in (0, 5)
+    said = capsys.readouterr().out
+    assert "poses       known, taken from the files as they are" in said
+    assert "edges" not in said
+    assert run(["report", *shared, "-q"]) == 0
+    page = Page(tmp_path / "run" / "report" / "report.html")
+    assert any(KNOWN in words for words in page.words)
+    assert not any("not matched" in words for words in page.words)

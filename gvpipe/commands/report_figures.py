@@ -26,6 +26,9 @@ Json: TypeAlias = dict[str, object]
 EDGE_STYLE = {"odometry": "#cfd8dc", "loop": "#ffd24d", "overlap": "#ff6f91"}
 """Colours of the location graph's edges over photographs of ground."""
 
+MARK_SHARE = 0.02
+"""Room round a camera's arrow, as a share of the map's width."""
+
 LEGEND: Json = {"orientation": "h", "y": 1.02, "yanchor": "bottom"}
 
 
@@ -62,8 +65,12 @@ def map_figure(
     traces += _edges(slam, {row.image: row for row in poses})
     traces += _robots(poses)
     plain: Json = {"showgrid": False, "zeroline": False, "constrain": "domain"}
-    across: Json = {**plain, "title": {"text": "x, m"}, "range": [left, left + part.width * step_x]}
-    up: Json = {**plain, "title": {"text": "y, m"}, "range": [top + part.height * step_y, top]}
+    # cameras that look ahead stand outside the ground they see
+    held = MARK_SHARE * part.width * step_x
+    xs = [left, left + part.width * step_x, *(row.x + s for row in poses for s in (-held, held))]
+    ys = [top + part.height * step_y, top, *(row.y + s for row in poses for s in (-held, held))]
+    across: Json = {**plain, "title": {"text": "x, m"}, "range": [min(xs), max(xs)]}
+    up: Json = {**plain, "title": {"text": "y, m"}, "range": [min(ys), max(ys)]}
     up["scaleanchor"] = "x"
     layout: Json = {"images": [image], "xaxis": across, "yaxis": up, "dragmode": "pan"}
     layout["hovermode"] = "closest"

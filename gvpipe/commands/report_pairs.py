@@ -15,6 +15,9 @@ MOST_PAIR_PICTURES = 400
 MOST_LINES = 24
 """Matches drawn in one pair's picture."""
 
+KNOWN = "The poses were taken from the files: the map does not need these pairs to match."
+"""Said over the pairs of a run with known poses."""
+
 
 def pairs(run: Run, figures: list[Json]) -> str:
     """List all pairs with their match pictures."""
@@ -32,6 +35,8 @@ def pairs(run: Run, figures: list[Json]) -> str:
     heads = ["", "pictures", "verdict", "inliers", "of", "error, px", "distance, m", "yaw, °"]
     more = len(rows) - MOST_PAIR_PICTURES
     note = f'<p class="soft">The last {more} have no pictures here.</p>' if more > 0 else ""
+    if run.known:
+        note = f'<p class="soft">{KNOWN}</p>{note}'
     return note + table(heads, rows, sortable=True)
 
 
@@ -41,7 +46,7 @@ def _pair_cells(run: Run, row: PairRow) -> tuple[str, ...]:
     verdict = "matched" if good else (row.reason or "rejected")
     return (
         f'<td class="name">{text(row.image_i)}<br>{text(row.image_j)}</td>',
-        cell(verdict, "good" if good else "bad"),
+        cell(verdict, "good" if good else "soft" if run.known else "bad"),
         number(row.inliers, 0),
         number(row.candidates, 0),
         number(row.error_px),

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from gvpipe.artefacts import Artefact
+from gvpipe.chain import scale_source
 from gvpipe.config import Config
+from gvpipe.core.reconstruct.agreement import ONE_SIDE_DEG
 from gvpipe.dataset import Dataset
 from gvpipe.names import escape
 from gvpipe.records import (
@@ -55,6 +57,11 @@ class Run:
         return escape("/".join(Path(self.config.output).parts[-2:]))
 
     @property
+    def known(self) -> bool:
+        """Whether all poses were given: the map then does not rest on matches."""
+        return scale_source(self.config) == "poses"
+
+    @property
     def motions(self) -> dict[tuple[str, str], MotionRow]:
         """Motions by their pair of images."""
         artefact = self.get(LocalizeBody)
@@ -64,7 +71,8 @@ class Run:
     def warnings(self) -> Iterator[str]:
         """Say all that a reader should not overlook."""
         for name, artefact in self.artefacts.items():
-            if artefact.header.reason:
+            needed = not self.known or name not in ("match", "localize")
+            if artefact.header.reason and needed:
                 yield f"{name}: no result: {artefact.header.reason}"
         for skipped in self.dataset.skipped:
             yield f"{skipped.image}: skipped: {skipped.reason}"
@@ -76,7 +84,7 @@ class Run:
         match = self.get(MatchBody)
         rejected = [row for row in match.body.pairs if row.status != "ok"] if match else []
         # listed pairs and neighbours are meant to match; of all pairs most never could
-        if match and self.config.match.pairs != "exhaustive":
+        if match and self.config.match.pairs != "exhaustive" and not self.known:
             for row in rejected:
                 yield f"{row.image_i} and {row.image_j}: not matched: {row.reason}"
 
@@ -100,3 +108,6 @@ class Run:
         for row in found.body.obstacles:
             if row.confidence < DOUBTFUL:
                 yield f"obstacle {row.id}: doubtful, confidence {row.confidence:.2f}"
+            if row.azimuth_span_deg < ONE_SIDE_DEG:
+                side = f"from one side only, over {row.azimuth_span_deg:.0f} degrees"
+                yield f"obstacle {row.id}: seen {side}; its far side is a guess"

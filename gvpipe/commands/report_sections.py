@@ -15,7 +15,17 @@ from gvpipe.commands.report_pairs import pairs
 from gvpipe.commands.report_pictures import picture
 from gvpipe.commands.report_run import Run
 from gvpipe.commands.report_space import scene_figure
-from gvpipe.commands.report_text import cell, duration, image, missing, number, plot, table, text
+from gvpipe.commands.report_text import (
+    cell,
+    duration,
+    image,
+    missing,
+    number,
+    plot,
+    significant,
+    table,
+    text,
+)
 from gvpipe.configfile import show_config
 from gvpipe.formats.ply import read_mesh
 from gvpipe.records import (
@@ -137,16 +147,17 @@ def space(run: Run, figures: list[Json]) -> str:
     figures.append(scene_figure("space", slam.body, component, run.get(MosaicBody), mesh))
     rows = found.body.obstacles if found else ()
     listed = table(
-        ["obstacle", "height, m", "volume, l", "x, m", "y, m", "confidence", "views"],
+        ["obstacle", "height, m", "volume, l", "x, m", "y, m", "confidence", "views", "within, °"],
         [
             (
                 cell(row.id),
                 number(row.height_m, 3),
-                number(1000 * row.volume_m3, 1),
+                significant(1000 * row.volume_m3),
                 number(row.centroid[0], 3),
                 number(row.centroid[1], 3),
                 number(row.confidence, 2),
                 number(row.views, 0),
+                number(row.azimuth_span_deg, 0),
             )
             for row in rows
         ],

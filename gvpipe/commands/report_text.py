@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from html import escape
+from math import floor, log10
 
 
 def text(value: object) -> str:
@@ -37,6 +38,12 @@ def number(value: float | None, digits: int = 2, unit: str = "") -> str:
     return f'<td class="n" data-sort="{value:.6f}">{value:,.{digits}f}{unit}</td>'
 
 
+def significant(value: float, digits: int = 3) -> str:
+    """Write a table cell with a number of few digits, however small it is."""
+    shown = f"{value:,.{max(digits - 1 - floor(log10(value)), 0)}f}" if value > 0 else f"{value:g}"
+    return f'<td class="n" data-sort="{value:.6g}">{shown}</td>'
+
+
 def cell(value: object, kind: str = "") -> str:
     """Write a table cell with a text."""
     return f'<td class="{kind}">{text(value)}</td>' if kind else f"<td>{text(value)}</td>"
@@ -62,4 +69,4 @@ def duration(seconds: float) -> str:
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s"
+    return f"{minutes} min {rest} s".replace(" ", "\N{NO-BREAK SPACE}")

@@ -150,6 +150,9 @@ def take_shots(plan: Plan) -> list[Shot]:
         carried = poses(stops, plan.mount, plan.shake, rng)
         stamped = [(float(k), pose) for k, pose in enumerate(carried)]
     else:
+        if not Path(plan.path).is_file():
+            expected = "circle, line, mower or a TUM file of camera poses"
+            raise InputError(f"--path {escape(plan.path)}: no such file; expected {expected}")
         stamped = read_tum(Path(plan.path))
         low = [k for k, (_, pose) in enumerate(stamped) if pose.translation[2] <= 0]
         if not stamped or low:

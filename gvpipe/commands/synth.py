@@ -64,7 +64,11 @@ def run(plan: Plan, folder: Path, reporter: Reporter) -> None:
     except OSError as error:
         where = escape(str(error.filename or folder))
         raise OutputError(f"{where}: cannot be written: {error.strerror}") from error
-    rows = (("images", f"{len(shots)} of {len(plan.solids)} solids"), *advice(plan, shots))
+    rows = (
+        ("images", str(len(shots))),
+        ("obstacles", str(len(plan.solids))),
+        *advice(plan, shots),
+    )
     names = ("config.yaml", "groundtruth.json", "obstacles.ply")
     reporter.result("gvpipe synth", rows, [folder / name for name in names])
 

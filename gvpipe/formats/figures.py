@@ -1,6 +1,7 @@
 """Small pictures with captions, on one sheet."""
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -8,6 +9,10 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 Layer = NDArray[np.float32]
+Colour: TypeAlias = tuple[int, int, int]
+Caption: TypeAlias = str | Sequence[tuple[str, Colour]]
+
+BLACK: Colour = (0, 0, 0)
 
 CAPTION_HEIGHT, GAP = 30, 8
 """Pixels below a picture for its caption, and between pictures."""
@@ -28,17 +33,22 @@ BRUSH = np.ones((3, 3), np.uint8)
 BAR_HEIGHT = 10
 """Pixels of the bar that shows the colours from the smallest to the largest value."""
 
-LINES = ((148, 60, 189), (214, 39, 40), (20, 120, 40), (0, 0, 0))
+LINES: tuple[Colour, ...] = ((148, 60, 189), (214, 39, 40), (20, 120, 40), BLACK)
 """Colours of outlines, first to last: violet, red, green, black."""
 
 
-def sheet(pictures: Sequence[tuple[Image, str]], columns: int) -> Image:
+def line_colours(count: int) -> tuple[Colour, ...]:
+    """Colours of outlines drawn over each other; the last is black."""
+    return LINES[-count:]
+
+
+def sheet(pictures: Sequence[tuple[Image, Caption]], columns: int) -> Image:
     """Put pictures of one size, each over its caption, on a white sheet.
 
     Parameters
     ----------
-    pictures : sequence of ((H, W, 3) uint8, str)
-        At least one; RGB and caption (ASCII).
+    pictures : sequence of ((H, W, 3) uint8, str or sequence of (str, colour))
+        At least one; RGB and caption (ASCII), in black or in pieces of any colour.
     columns : int
         Pictures in a row; the last row may have fewer.
     """
@@ -52,10 +62,13 @@ def sheet(pictures: Sequence[tuple[Image, str]], columns: int) -> Image:
     return page
 
 
-def _captioned(picture: Image, text: str) -> Image:
+def _captioned(picture: Image, caption: Caption) -> Image:
     strip = np.full((CAPTION_HEIGHT, picture.shape[1], 3), 255, np.uint8)
-    place = (TEXT_MARGIN, CAPTION_HEIGHT - 10)
-    cv2.putText(strip, text, place, cv2.FONT_HERSHEY_SIMPLEX, TEXT_SCALE, (0, 0, 0), 1, cv2.LINE_AA)
+    x, font = TEXT_MARGIN, cv2.FONT_HERSHEY_SIMPLEX
+    for text, colour in [(caption, BLACK)] if isinstance(caption, str) else caption:
+        place = (x, CAPTION_HEIGHT - 10)
+        cv2.putText(strip, text, place, font, TEXT_SCALE, colour, 1, cv2.LINE_AA)
+        x += cv2.getTextSize(text, font, TEXT_SCALE, 1)[0][0]
     return np.vstack([picture, strip])
 
 
@@ -94,7 +107,7 @@ def layer_picture(
     shares = (_from_above(values) - low) / max(high - low, 1e-12)
     enlarged = cv2.resize(shares, (width, height), interpolation=cv2.INTER_NEAREST)
     colours = _coloured(enlarged.astype(np.float32), ramp)
-    for outline, colour in zip(outlines, LINES[-len(outlines) :], strict=True):
+    for outline, colour in zip(outlines, line_colours(len(outlines)), strict=True):
         u = cv2.resize(_from_above(outline), (width, height), interpolation=cv2.INTER_LINEAR)
         inside = (u > 0).astype(np.uint8)
         rim = cv2.dilate(inside, BRUSH) != cv2.erode(inside, BRUSH)

@@ -1,7 +1,7 @@
 """What every stage receives and returns."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +106,12 @@ class Stage(Protocol):
 
     def write(self, outcome: Outcome[Any, Any], folder: Path) -> None:
         """Write the files beside the JSON into a staging folder."""
+
+
+def shortened(rows: Sequence[tuple[str, str]], most: int) -> tuple[tuple[str, str], ...]:
+    """Keep the first `most` rows of a summary, and say how many more there are."""
+    more = len(rows) - most
+    return (*rows[:most], *((("", f"... and {more} more"),) if more > 0 else ()))
 
 
 def main_component(slam: SlamBody) -> int:

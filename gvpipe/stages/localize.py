@@ -21,7 +21,7 @@ from gvpipe.core.slam.correlation import shared_errors
 from gvpipe.core.types import Float
 from gvpipe.dataset import ImageEntry
 from gvpipe.records import Body, GammaRow, LocalizeBody, MatchBody, MotionFields, MotionRow, PairRow
-from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.contract import Context, Outcome, shortened
 
 SECTIONS = ("cameras", "robots", "match", "seed")
 BODY = LocalizeBody
@@ -49,15 +49,15 @@ def run(context: Context) -> Outcome[LocalizeBody, None]:
         _motion(row, entries[row.image_i], entries[row.image_j], p, q, shared)
         for row, p, q in matched
     )
-    summary = tuple(
+    rows = [
         (f"{m.image_i} - {m.image_j}", f"{m.distance_m:.3f} m, turned {m.yaw_deg:.1f}°")
-        for m in motions[:12]
-    )
+        for m in motions
+    ]
     return Outcome(
         LocalizeBody(motions=motions),
         None,
         no_result=None if motions else f"no pair was matched: {match.header.reason}",
-        summary=(("motions", str(len(motions))), *summary),
+        summary=(("motions", str(len(motions))), *shortened(rows, 12)),
     )
 
 

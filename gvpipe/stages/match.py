@@ -13,7 +13,7 @@ from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
 from gvpipe.errors import InputError
 from gvpipe.records import Body, MatchBody, PairRow
-from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.contract import Context, Outcome, shortened
 from gvpipe.stages.pairing import count_steps, match_pairs
 
 SECTIONS = ("cameras", "robots", "match", "seed")
@@ -128,6 +128,7 @@ def _why_none(rows: Iterable[PairRow]) -> str:
     return f"no pair matched; the first, {first.image_i} and {first.image_j}: {first.reason}"
 
 
-def _rejections(rows: Iterable[PairRow]) -> list[tuple[str, str]]:
-    shown = [row for row in rows if row.status == "rejected"][:5]
-    return [("rejected", f"{row.image_i} - {row.image_j}: {row.reason}") for row in shown]
+def _rejections(rows: Iterable[PairRow]) -> tuple[tuple[str, str], ...]:
+    rejected = [row for row in rows if row.status == "rejected"]
+    said = [("rejected", f"{row.image_i} - {row.image_j}: {row.reason}") for row in rejected]
+    return shortened(said, 5)

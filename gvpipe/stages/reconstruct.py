@@ -4,19 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gvpipe.config import Config
-from gvpipe.core.reconstruct.agreement import agreement
+from gvpipe.core.reconstruct.agreement import ONE_SIDE_DEG, agreement
 from gvpipe.core.reconstruct.background import GroundModel
 from gvpipe.core.reconstruct.evidence import find_regions
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.mesh import Obstacle, find_obstacles
-from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, silhouettes
+from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, count_steps, silhouettes
 from gvpipe.core.reconstruct.solution import Solution
 from gvpipe.core.types import PosedView
 from gvpipe.errors import InputError
 from gvpipe.formats.raster import read_png
 from gvpipe.records import Body, MosaicBody, ObstacleRow, ReconstructBody, SlamBody
-from gvpipe.stages.contract import Context, Outcome, posed_views
+from gvpipe.stages.contract import Context, Outcome, posed_views, shortened
 from gvpipe.stages.reconstruct_files import Scene, Volume, write_scene
 from gvpipe.stages.reconstruct_map import RosMap, map_with_obstacles, read_map, write_ros_map
 from gvpipe.stages.reconstruct_methods import METHODS, grid_over
@@ -45,7 +47,8 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     views = posed_views(context.dataset, context.artefact(SlamBody).body)
     options = EvidenceOptions()
     ground, bare = _ground(context), read_map(context.artefact(MosaicBody))
-    shapes = silhouettes(views, ground, options, context.jobs)
+    with context.progress("silhouettes", count_steps(views, options)) as ticker:
+        shapes = silhouettes(views, ground, options, context.jobs, ticker.advance)
     regions = find_regions(views, shapes, options, context.jobs)
     volumes = []
     with context.progress("reconstruct", len(regions)) as ticker:
@@ -64,14 +67,16 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
         iterations=max((s.iterations for s in solutions), default=0),
         converged=all(s.converged for s in solutions),
     )
-    summary = tuple(
+    summary = [
         (
             f"obstacle {row.id}",
-            f"{row.height_m:.3f} m high, {row.volume_m3 * 1e3:.2f} litres, "
-            f"confidence {row.confidence:.2f} from {row.views} views",
+            f"{row.height_m:.3f} m high, {float(f'{1e3 * row.volume_m3:.3g}'):g} litres, "
+            f"confidence {row.confidence:.2f} from {row.views} views"
+            + ", all on one side"
+            * (row.azimuth_span_deg < ONE_SIDE_DEG),
         )
-        for row in rows[:12]
-    )
+        for row in rows
+    ]
     return Outcome(
         body,
         Reconstruction(
@@ -79,7 +84,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
             map_with_obstacles(bare, rows, views),
         ),
         no_result=None if rows else "nothing stands on the ground that enough views see",
-        summary=(("obstacles", str(len(rows))), *summary),
+        summary=(("obstacles", str(len(rows))), *shortened(summary, 12)),
     )
 
 
@@ -115,6 +120,7 @@ def _rows(
             centroid=obstacle.centroid,
             confidence=agreed.confidence,
             views=agreed.views,
+            azimuth_span_deg=float(np.degrees(agreed.azimuth_span)),
         )
         for k, (obstacle, agreed) in enumerate(zip(found, agreements, strict=True))
     )

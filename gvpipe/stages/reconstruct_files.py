@@ -17,7 +17,7 @@ from gvpipe.core.reconstruct.render import sculpture, turntable
 from gvpipe.core.reconstruct.solution import Solution
 from gvpipe.core.reconstruct.visibility import colour, surface_points
 from gvpipe.core.types import Image, PosedView
-from gvpipe.formats.figures import layer_picture, sheet
+from gvpipe.formats.figures import BLACK, layer_picture, line_colours, sheet
 from gvpipe.formats.glb import write_glb
 from gvpipe.formats.ply import write_mesh, write_points
 from gvpipe.formats.raster import png_bytes
@@ -130,12 +130,13 @@ def _terms_page(volume: Volume) -> Image:
         u, coarse = restored(solution.frames[k], grid)
         outlines.append(u[:, :, round(solution.layer * grid.spacing[2] / coarse.spacing[2])])
     path, _ = layer_picture(solution.f, [*outlines, end], LAYER_SIDE, signed=True)
-    steps = ", ".join(str(solution.frame_iterations[k]) for k in moments)
+    steps = [*(solution.frame_iterations[k] for k in moments), solution.iterations]
+    key = [(f"{n} ", colour) for n, colour in zip(steps, line_colours(len(steps)), strict=True)]
     return sheet(
         [
             (f, f"f at z = {height:.2f} m: {f_low:.2f} (obstacle) to {f_high:.2f}"),
             (g, f"g: {g_low:.2f} (views agree) to {g_high:.2f}"),
-            (path, f"surface at iterations {steps}, {solution.iterations}"),
+            (path, [("surface at iterations ", BLACK), *key]),
         ],
         columns=3,
     )

@@ -24,7 +24,7 @@ from gvpipe.records import (
     SlamBody,
     UnregisteredRow,
 )
-from gvpipe.stages.contract import Context, Outcome
+from gvpipe.stages.contract import Context, Outcome, shortened
 from gvpipe.stages.pairing import count_steps, match_pairs
 from gvpipe.stages.slam_control import control_points, control_rows, control_summary
 from gvpipe.stages.slam_files import SlamEvidence, write_files
@@ -61,15 +61,17 @@ def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
     dataset = context.dataset
     if needs(context.config):
         body, evidence = _mapped(context)
+        rests_on = ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected")
     else:
         body, evidence = _known(dataset), SlamEvidence(dataset)
+        rests_on = ("poses", "known, taken from the files as they are")
     registered = len(body.poses)
     summary = (
         ("registered", f"{registered} of {len(dataset.entries)} images"),
         ("maps", str(body.components)),
-        ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected"),
+        rests_on,
         *(control_summary(body)),
-        *((f"not on a map: {row.image}", row.reason) for row in body.unregistered[:5]),
+        *shortened([(f"not on a map: {r.image}", r.reason) for r in body.unregistered], 5),
     )
     why = "no image could be linked to another" if registered < 2 else None
     if len(dataset.entries) == 1 and registered == 1:

@@ -81,7 +81,7 @@ def _drawn(body: SlamBody) -> str:
         GraphNode(
             image=row.image,
             robot=row.robot,
-            label=row.robot + Path(row.image).stem,
+            label=Path(row.image).with_suffix("").as_posix(),
             component=row.component,
             x=row.x,
             y=row.y,

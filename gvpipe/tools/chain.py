@@ -28,8 +28,10 @@ COMMANDS = {
     "localize": "Relative pose of two views: camera motion, tilts and metric shift of each pair.",
     "overlap": "Find pictures of different robots that show the same ground.",
     "slam": "Put all robots on one metric map; draw the location graph.",
-    "mosaic": "Compose the overhead map with the obstacles taken out, and a ROS map.",
-    "reconstruct": "Recover the obstacles' shape in 3D.",
+    "mosaic": "Compose the overhead map, obstacles taken out where a picture sees the ground.\n\n"
+    "An obstacle seen from one side only leaves a smear. The ROS map is of the ground alone "
+    "and may call footprints free: drive by the one of `gvpipe reconstruct`.",
+    "reconstruct": "Recover the obstacles' shape in 3D, and the ROS map to drive by.",
 }
 
 EXAMPLES = {
@@ -109,7 +111,10 @@ def _stage_command(name: str) -> Callable[..., None]:
 
         reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
         with _session(config, out, overrides, jobs, memory_limit) as session:
-            _do(name, session, reporter, force=force, dry_run=dry_run)
+            if dry_run:
+                _plan([name], session, reporter, force=force)
+            else:
+                _run(name, session, reporter, force=force)
 
     return command
 
@@ -138,9 +143,11 @@ def run_stages(
     reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
     missing: NoResultError | None = None
     with _session(config, out, overrides, jobs, memory_limit) as session:
-        for k, name in enumerate(chosen):
+        if dry_run:
+            return _plan(chosen, session, reporter, force=force)
+        for name in chosen:
             try:
-                _do(name, session, reporter, force=force, dry_run=dry_run, before=chosen[:k])
+                _run(name, session, reporter, force=force)
             except NoResultError as error:
                 missing = missing or error
             except InputError as error:
@@ -178,21 +185,15 @@ def _session(
     return Session(load_config(config, tuple(overrides or ()), out), count)
 
 
-def _do(
-    name: str,
-    session: "Session",
-    reporter: "Reporter",
-    *,
-    force: bool,
-    dry_run: bool,
-    before: Sequence[str] = (),
-) -> None:
-    """Run one stage, or say what it would do once those before it have run."""
-    if dry_run:
-        from gvpipe.plan import plan_stage
-
-        plan_stage(name, session, reporter, force=force, before=before)
-        return
+def _run(name: str, session: "Session", reporter: "Reporter", *, force: bool) -> None:
+    """Run one stage."""
     from gvpipe.runner import run_stage
 
     run_stage(name, session, reporter, force=force)
+
+
+def _plan(names: Sequence[str], session: "Session", reporter: "Reporter", *, force: bool) -> None:
+    """Say what some stages would do."""
+    from gvpipe.plan import plan_stages
+
+    plan_stages(names, session, reporter, force=force)

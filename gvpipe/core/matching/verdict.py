@@ -45,6 +45,8 @@ class Evidence:
         RMS standard deviation of the homography over the common ground, in picture j.
     drift : float
         Largest departure from the configured tilts and rolls, radians.
+    tilt_i, tilt_j : float
+        Of the cameras over this plane, radians below the horizon.
     """
 
     inliers: int
@@ -52,6 +54,8 @@ class Evidence:
     log10_odds: float
     uncertainty_px: float
     drift: float
+    tilt_i: float
+    tilt_j: float
 
     @property
     def share(self) -> float:
@@ -118,6 +122,8 @@ def weigh(aligned: Aligned, covariance: Float, expected: TwoView, prior: PairPri
         log10_odds=float(min(-tail - _LOG10_TESTS - unlikely, _MOST_LOG10_ODDS)),
         uncertainty_px=uncertainty_px(aligned, covariance),
         drift=geometry.drift(expected),
+        tilt_i=geometry.mount_i.tilt,
+        tilt_j=geometry.mount_j.tilt,
     )
 
 
@@ -127,13 +133,16 @@ def objection(evidence: Evidence, options: MatchOptions) -> str | None:
     if not evidence.log10_odds >= options.min_log10_odds:
         return (
             f"{seen}, where {_CHANCE * evidence.tested:.1f} do by chance: odds "
-            f"1e{evidence.log10_odds:.1f} against chance, 1e{options.min_log10_odds:g} needed"
+            f"of {_ratio(evidence.log10_odds)} against chance, "
+            f"{_ratio(options.min_log10_odds)} needed"
         )
     if not evidence.drift <= options.max_tilt_error:
         return (
             f"{seen}, but on a plane that needs a camera turned "
             f"{np.degrees(evidence.drift):.0f} degrees from its configured tilt and roll, "
-            f"{np.degrees(options.max_tilt_error):.0f} are allowed"
+            f"{np.degrees(options.max_tilt_error):.0f} are allowed; its tilts would be "
+            f"{np.degrees(evidence.tilt_i):.0f} and {np.degrees(evidence.tilt_j):.0f} degrees: "
+            "if that may be, `tilt: auto` finds them"
         )
     if not evidence.uncertainty_px <= options.max_uncertainty_px:
         return (
@@ -142,3 +151,10 @@ def objection(evidence: Evidence, options: MatchOptions) -> str | None:
             f"{options.max_uncertainty_px:g} px are allowed"
         )
     return None
+
+
+def _ratio(log10_odds: float) -> str:
+    """Write odds as people do, two digits of them."""
+    if not log10_odds >= 0:
+        return "less than 1 to 1"
+    return f"{float(f'{10.0**log10_odds:.2g}'):g} to 1"

@@ -1,6 +1,6 @@
 """How likely each pixel of each view shows an obstacle rather than the ground."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
 from gvpipe.core.types import PosedView
 
-__all__ = ["EvidenceOptions", "Silhouette", "silhouettes"]
+__all__ = ["EvidenceOptions", "Silhouette", "count_steps", "silhouettes"]
 
 FIRST_SCALE = 20.0
 """Levels within which colours of the same ground agree, before it is measured."""
@@ -86,8 +86,21 @@ SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 """Pixels by which the comparison window smears an obstacle's difference over its outline."""
 
 
+def count_steps(views: Sequence[PosedView], options: EvidenceOptions) -> int:
+    """How often :func:`silhouettes` calls its `on_step`: once a view and round."""
+    return len(views) * (1 if _by_mosaic(views, options) else len(options.tolerances) + 1)
+
+
+def _by_mosaic(views: Sequence[PosedView], options: EvidenceOptions) -> bool:
+    return options.background == "mosaic" or len(views) < options.min_views
+
+
 def silhouettes(
-    views: Sequence[PosedView], ground: GroundModel, options: EvidenceOptions, threads: int = 2
+    views: Sequence[PosedView],
+    ground: GroundModel,
+    options: EvidenceOptions,
+    threads: int = 2,
+    on_step: Callable[[], object] = lambda: None,
 ) -> list[Silhouette]:
     """Soft obstacle silhouettes of all views against the ground.
 
@@ -106,6 +119,8 @@ def silhouettes(
         Scales and thresholds.
     threads : int
         Views worked on side by side; does not change the result.
+    on_step : callable
+        Called as the rounds go on, :func:`count_steps` times.
 
     Returns
     -------
@@ -113,8 +128,8 @@ def silhouettes(
         Probability that a pixel shows an obstacle, NaN where unknown (above the horizon, or the
         ground there was never seen).
     """
-    if options.background == "mosaic" or len(views) < options.min_views:
-        return [colour_silhouette(view, ground, options.colour_scale) for view in views]
+    if _by_mosaic(views, options):
+        return [_told(colour_silhouette(v, ground, options.colour_scale), on_step) for v in views]
     pictures = levelled(views)
     pairs = list(zip(views, pictures, strict=True))
     small = GroundWitnesses([reduced(v, p, reduction(v)) for v, p in pairs])
@@ -124,7 +139,7 @@ def silhouettes(
         solid: list[Mask] = []
         raised: list[NDArray[np.float32]] = []
         for index, tolerance in enumerate(options.tolerances):
-            shapes = _round(small, scale, options, raised, index == 0, pool)
+            shapes = _round(small, scale, options, raised, index == 0, pool, on_step)
             solids = tolerant_solids(small.views, shapes, options, tolerance, threads)
             hidden = hidden_ground(small.views, shapes, solids, pool)
             solid = bodies_seen(small.views, solids, pool)
@@ -133,7 +148,7 @@ def silhouettes(
         full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
         if hidden:
             full.hide(hidden, solid)
-        shapes = _round(full, scale, options, raised, not hidden, pool)
+        shapes = _round(full, scale, options, raised, not hidden, pool, on_step)
     return without_ghosts(views, shapes, options, threads)
 
 
@@ -169,6 +184,7 @@ def _round(
     raised: Sequence[NDArray[np.float32]],
     first: bool,
     pool: ThreadPoolExecutor,
+    on_step: Callable[[], object],
 ) -> list[Silhouette]:
     """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
@@ -191,7 +207,13 @@ def _round(
         extra = GAIN_LIMIT * cv2.resize(raised[index], size) if raised else np.zeros(1, np.float32)
         return _silhouette(view, seen, noise, replace(options, odds=even), extra, first)
 
-    return list(pool.map(one, range(len(witnesses.views))))
+    return [_told(shape, on_step) for shape in pool.map(one, range(len(witnesses.views)))]
+
+
+def _told(shape: Silhouette, on_step: Callable[[], object]) -> Silhouette:
+    """Pass a silhouette on, and say that it is done."""
+    on_step()
+    return shape
 
 
 def _compared(view: PosedView, seen: SeenGround) -> Features:
