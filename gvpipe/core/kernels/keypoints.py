@@ -87,7 +87,7 @@ def find_blobs(
     Returns
     -------
     blobs : (N, 4) float64
-        u, v (pixels), layer offset (-1 to 1) and contrast.
+        u, v (pixels), layer offset (-1 to 1) and the value there: its size is the contrast.
     """
     found = np.empty((most, 4))
     count = 0
@@ -122,7 +122,7 @@ def find_blobs(
                 continue
             if count < most:
                 found[count, 0], found[count, 1] = c + offset[1], r + offset[0]
-                found[count, 2], found[count, 3] = offset[2], abs(offset[3])
+                found[count, 2], found[count, 3] = offset[2], offset[3]
                 count += 1
     return found[:count]
 
