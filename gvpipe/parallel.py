@@ -19,7 +19,7 @@ S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R")
 
-GARBAGE_AFTER = 50_000
+GARBAGE_AFTER = 500_000
 """New objects after which Python looks for garbage: after its usual 700 it looks hundreds of times
 while libraries load, a tenth of a short run."""
 
