@@ -45,7 +45,7 @@ Grey = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class _Blobs:
-    """Keypoints of one smoothed layer: rows of u, v, sigma (raster pixels), contrast (> 0: dark)."""
+    """Keypoints of one smoothed layer: rows of u, v, sigma, contrast (above 0: dark)."""
 
     grid: OverheadGrid
     image: NDArray[np.float32]
