@@ -25,8 +25,9 @@ _GARBAGE_AFTER = 500_000
 while libraries load, a tenth of a short run."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
-_KEPT_FREE, _LARGE = 64 << 20, 8 << 20
-"""Bytes of freed memory kept, and of an array that is handed back at once whatever is kept."""
+_KEPT_FREE, _LARGE = 64 << 20, 32 << 20
+"""Bytes of freed memory kept, and of an array that is handed back at once whatever is kept: where
+glibc arrives by itself once it has freed an array of the latter size."""
 
 IN_FLIGHT_PER_WORKER = 4
 """Items handed out ahead of the workers: keeps them busy, bounds what waits in memory."""
@@ -42,7 +43,7 @@ class Crashed(Generic[T]):
 def spare_housekeeping() -> None:
     """Let this process look for garbage seldom, and keep what arrays the size of a picture free.
 
-    By default glibc hands such memory back and gets it anew, page by page, for every picture.
+    Until it has seen larger ones, glibc hands such memory back and gets it anew, page by page.
     """
     gc.set_threshold(_GARBAGE_AFTER)
     libc = ctypes.CDLL(None)
