@@ -1,6 +1,5 @@
 """The program: the command line in a process of its own, watched over by a small one."""
 
-import gc
 import os
 import sys
 
@@ -16,9 +15,9 @@ def _command_line() -> int:
     # small matrices only: threads of their own would fight with gvpipe's workers for the cores
     for library in ("OPENBLAS", "MKL", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    from gvpipe.parallel import GARBAGE_AFTER
+    from gvpipe.parallel import spare_housekeeping
 
-    gc.set_threshold(GARBAGE_AFTER)
+    spare_housekeeping()
     from gvpipe.cli import run  # late: a signal during this import is handled already
 
     return run()

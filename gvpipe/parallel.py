@@ -1,5 +1,6 @@
 """An ordered map over worker processes whose results do not depend on their number."""
 
+import ctypes
 import gc
 import os
 import signal
@@ -19,9 +20,14 @@ S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R")
 
-GARBAGE_AFTER = 50_000
+_GARBAGE_AFTER = 500_000
 """New objects after which Python looks for garbage: after its usual 700 it looks hundreds of times
 while libraries load, a tenth of a short run."""
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
+_KEPT_FREE, _LARGE = 64 << 20, 32 << 20
+"""Bytes of freed memory kept, and of an array that is handed back at once whatever is kept: where
+glibc arrives by itself once it has freed an array of the latter size."""
 
 IN_FLIGHT_PER_WORKER = 4
 """Items handed out ahead of the workers: keeps them busy, bounds what waits in memory."""
@@ -34,6 +40,18 @@ class Crashed(Generic[T]):
     item: T
 
 
+def spare_housekeeping() -> None:
+    """Let this process look for garbage seldom, and keep what arrays the size of a picture free.
+
+    Until it has seen larger ones, glibc hands such memory back and gets it anew, page by page.
+    """
+    gc.set_threshold(_GARBAGE_AFTER)
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):
+        libc.mallopt(_M_TRIM_THRESHOLD, _KEPT_FREE)
+        libc.mallopt(_M_MMAP_THRESHOLD, _LARGE)
+
+
 _shared: Any = None
 """What every call in this worker process receives; set once when the process starts."""
 
@@ -41,7 +59,7 @@ _shared: Any = None
 def _start_worker(shared: bytes) -> None:
     """Prepare a worker: one thread for OpenCV, interrupts left to the parent."""
     global _shared
-    gc.set_threshold(GARBAGE_AFTER)
+    spare_housekeeping()
     threading.Thread(target=_die_with_parent, daemon=True).start()
     _shared = ForkingPickler.loads(shared)  # imports what takes seconds on a busy machine
     import cv2

@@ -82,7 +82,7 @@ class PixelStore:
     def _decode(self, source: PixelSource) -> Image:
         name = escape(str(source.path))
         if source.frame is None:
-            decoded = read_image(source.path)
+            decoded = read_image(source.path, known_sha256=source.sha256)
             if isinstance(decoded, Rejected):
                 raise InputError(f"{name}: {decoded.reason}")
             if decoded.sha256 != source.sha256:

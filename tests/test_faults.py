@@ -135,7 +135,7 @@ def test_what_kills_its_worker_twice_is_recorded(
 
 
 SUPERVISED = """
-import ctypes, os, signal, sys, time
+import atexit, ctypes, os, signal, sys, time
 from gvpipe import cli, supervisor
 def deaf():
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
@@ -157,6 +157,10 @@ def obey():
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
     print("ready", flush=True)
     time.sleep(60)
+def owe():
+    atexit.register(lambda: print("done", file=sys.stderr))
+    print("owed")
+    return 5
 supervisor.GRACE_S = {grace_s}
 sys.exit(supervisor.supervised(lambda: {work}))
 """
@@ -216,6 +220,12 @@ def test_every_end_has_its_code(work: str, code: int, said: str) -> None:
     assert process.returncode == code
     assert said in err
     assert bool(said) == bool(err)
+
+
+def test_what_is_due_at_the_end_is_done() -> None:
+    process = supervised("owe()")
+    assert process.communicate(timeout=10) == ("owed\n", "done\n")
+    assert process.returncode == 5
 
 
 # Output

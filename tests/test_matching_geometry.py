@@ -7,6 +7,7 @@ from gvpipe.core.geometry.ground import pixel_from_ground, pixel_from_plane
 from gvpipe.core.geometry.homography import apply, normalise
 from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.geometry.twoview import PairPrior, TwoView, fit_two_views, two_views
+from gvpipe.core.kernels.hypotheses import score_pairs
 from gvpipe.core.kernels.matching import SIZE, nearest_two
 from gvpipe.core.matching.features import MatchOptions
 from gvpipe.core.matching.lower_plane import plane_at
@@ -136,6 +137,8 @@ def test_keypoints_turn_with_the_robot(yaw_deg: float) -> None:
     b = extract_sift(view_at(scene, *centre, yaw_deg, 45)[0], options)
     i, j, _ = candidate_matches(a, b, 0.8)
     assert len(i) > 15
+    assert 0.2 < a.dark.mean() < 0.8
+    assert (a.dark[i] == b.dark[j]).all()
     turn = b.angle[j] - a.angle[i]
     # what lies ahead of i is turned back by the yaw of j
     assert np.degrees(np.angle(np.exp(1j * (turn + yaw)).mean())) == pytest.approx(0.0, abs=3.0)
@@ -158,3 +161,21 @@ def test_nearest_descriptors_are_exact_within_their_rows() -> None:
 
 def test_inverse_intrinsics_take_pixels_to_rays() -> None:
     np.testing.assert_allclose(OTHER.inverse @ OTHER.matrix, np.eye(3), atol=1e-15)
+
+
+def test_drawing_ends_once_a_pair_explains_enough() -> None:
+    rng = np.random.default_rng(4)
+    ground = rng.uniform(-1.0, 1.0, (40, 2))
+    wrong = np.arange(40) < 10
+    moved = ground + [0.1, -0.2] + 0.5 * wrong[:, None] * rng.normal(size=(40, 2))
+    draws = np.concatenate([[[0, 1], [2, 3]], rng.integers(40, size=(500, 2))])
+    plane = np.diag([500.0, 500.0, 1.0])
+    matches = (ground, moved, apply(plane, moved), np.zeros(40), np.zeros(40), plane)
+    every, some = (
+        score_pairs(draws, *matches, 0.4, 0.5, 0.6, 14.0, enough) for enough in (np.inf, 20.0)
+    )
+    last = int((every[:, 0] > 20.0).argmax())
+    assert every[last, 1:] == pytest.approx([0.0, 0.1, -0.2, 0.0], abs=1e-9)
+    np.testing.assert_array_equal(some[: last + 1], every[: last + 1])
+    assert 1 < last < 500
+    assert not some[last + 1 :].any()

@@ -71,7 +71,9 @@ class Header:
     orientation: int | None
 
 
-def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejected:
+def read_image(
+    path: Path, max_pixels: int = MAX_PIXELS, *, known_sha256: str = ""
+) -> DecodedImage | Rejected:
     """Read and decode one image file.
 
     Parameters
@@ -80,6 +82,8 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
         Any name; a link is followed. Never blocks on a pipe or a device.
     max_pixels : int
         Images whose header announces more are not decoded.
+    known_sha256 : str
+        Of bytes that this function has read before: that they are whole is not looked at again.
 
     Returns
     -------
@@ -91,7 +95,8 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
     header = read_header(raw, max_pixels)
     if isinstance(header, Rejected):
         return header
-    if not _is_whole(raw, header.format):
+    digest = hashlib.sha256(raw).hexdigest()
+    if digest != known_sha256 and not _is_whole(raw, header.format):
         return Rejected(f"{header.format} data are truncated or corrupt")
     try:
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -107,7 +112,6 @@ def read_image(path: Path, max_pixels: int = MAX_PIXELS) -> DecodedImage | Rejec
         said = f"{header.width}x{header.height}"
         return Rejected(f"{header.format} header says {said}, data hold {width}x{height}")
     pixels = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-    digest = hashlib.sha256(raw).hexdigest()
     return DecodedImage(pixels, digest, len(raw), header.orientation)
 
 

@@ -67,8 +67,10 @@ def take_pictures(folder: Path) -> tuple[Path, Path]:
 def cpu_s(command: list[str]) -> float:
     """Run a command on one thread; CPU seconds of it and all it starts."""
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment = os.environ | threads
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation has its modules compiled
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, check=True, env=os.environ | threads, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

@@ -76,6 +76,7 @@ def raw_features(pixels: Image) -> Features:
         pixels_per_metre=1.0,
         angle=np.radians([k.angle for k in keypoints]).astype(np.float64),
         size=np.array([k.size for k in keypoints], dtype=np.float64),
+        dark=np.zeros(len(points), bool),
     )
 
 

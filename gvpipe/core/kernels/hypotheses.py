@@ -10,7 +10,8 @@ from gvpipe.core.types import Float
 @kernel
 def _turn(a: float, b: float) -> float:
     """Absolute difference of two angles."""
-    return abs((a - b + np.pi) % (2.0 * np.pi) - np.pi)
+    turns = (a - b) / (2.0 * np.pi)
+    return 2.0 * np.pi * abs(turns - np.rint(turns))
 
 
 @kernel
@@ -58,6 +59,7 @@ def score_pairs(
     max_turn: float,
     max_log_growth: float,
     tolerance_px: float,
+    enough: float,
 ) -> Float:
     """Similarity ground_j_from_ground_i of pairs of matches, scored by all matches.
 
@@ -77,11 +79,14 @@ def score_pairs(
         A match counts only if its feature turns and grows with the similarity up to this.
     tolerance_px : float
         A match counts ``1 - (error / tolerance)^2``.
+    enough : float
+        The pairs after one that scores more are left out.
 
     Returns
     -------
     found : (T, 5) float64
-        Score, yaw, x, y, log scale; score 0 where the pair of matches contradicts itself.
+        Score, yaw, x, y, log scale; score 0 where the pair of matches contradicts itself or is
+        left out.
     """
     found = np.zeros((len(draws), 5))
     h = np.empty((3, 3))
@@ -112,4 +117,6 @@ def score_pairs(
         )  # fmt: skip
         found[t, 0], found[t, 1], found[t, 2], found[t, 3] = score, yaw, x, y
         found[t, 4] = log_scale
+        if score > enough:
+            break
     return found

@@ -68,6 +68,18 @@ def _refined(below: Float32, here: Float32, above: Float32, r: int, c: int, out:
 
 
 @kernel
+def _standing_out(values: Float32, r: int, rough: np.float32, out: NDArray[np.bool_]) -> None:
+    """Which pixels of a row, but the first and the last, no neighbour of four exceeds."""
+    row, up, down = values[r], values[r - 1, 1:-1], values[r + 1, 1:-1]
+    left, here, right = row[:-2], row[1:-1], row[2:]
+    for c in range(len(out)):
+        value = here[c]
+        high = max(max(left[c], right[c]), max(up[c], down[c]))
+        low = min(min(left[c], right[c]), min(up[c], down[c]))
+        out[c] = ((value > rough) & (value >= high)) | ((value < -rough) & (value <= low))
+
+
+@kernel
 def find_blobs(
     below: Float32, here: Float32, above: Float32, threshold: float, border: int, most: int
 ) -> Float:
@@ -87,42 +99,40 @@ def find_blobs(
     Returns
     -------
     blobs : (N, 4) float64
-        u, v (pixels), layer offset (-1 to 1) and contrast.
+        u, v (pixels), layer offset (-1 to 1) and the value there: its size is the contrast.
     """
     found = np.empty((most, 4))
     count = 0
     offset = np.empty(4)
     rows, columns = here.shape
     rough = np.float32(0.8 * threshold)  # the parabola's top may be above the pixel's value
+    likely = np.empty(columns - 2, np.bool_)
     for r in range(border, rows - border):
+        # four neighbours settle most pixels before the other 22 are looked at
+        _standing_out(here, r, rough, likely)
         for c in range(border, columns - border):
+            if not likely[c - 1]:
+                continue
             value = here[r, c]
-            # two neighbours settle most pixels before the other 24 are looked at
-            if value > rough:
-                if value < here[r, c - 1] or value < here[r, c + 1]:
-                    continue
+            if value > 0:
                 extreme = (
                     _highest(here, r, c, value)
                     and _highest(below, r, c, value)
                     and _highest(above, r, c, value)
                 )
-            elif value < -rough:
-                if value > here[r, c - 1] or value > here[r, c + 1]:
-                    continue
+            else:
                 extreme = (
                     _lowest(here, r, c, value)
                     and _lowest(below, r, c, value)
                     and _lowest(above, r, c, value)
                 )
-            else:
-                continue
             if not extreme:
                 continue
             if not _refined(below, here, above, r, c, offset) or abs(offset[3]) < threshold:
                 continue
             if count < most:
                 found[count, 0], found[count, 1] = c + offset[1], r + offset[0]
-                found[count, 2], found[count, 3] = offset[2], abs(offset[3])
+                found[count, 2], found[count, 3] = offset[2], offset[3]
                 count += 1
     return found[:count]
 
@@ -156,15 +166,24 @@ def _direction(gx: float, gy: float) -> float:
     """Angle in turns, 0 to 1; a polynomial good to a thousandth of a turn."""
     ax, ay = abs(gx), abs(gy)
     small, large = min(ax, ay), max(ax, ay)
-    if large == 0.0:
-        return 0.0
-    t = small / large
+    t = small / max(large, 1e-300)  # no gradient: direction 0
     a = t * (0.1591549 + 0.0434 * (1.0 - t))  # atan(t) / 2 pi to 0.0003
     if ay > ax:
         a = 0.25 - a
     if gx < 0:
         a = 0.5 - a
     return a if gy >= 0 else 1.0 - a
+
+
+@kernel
+def _gradients(patch: Float, weights: Float, bins: int, size: Float, place: Float) -> None:
+    """Weighted length and direction, in bins, of the gradients inside a patch."""
+    for r in range(weights.shape[0]):
+        here, up, down = patch[r + 1], patch[r], patch[r + 2]
+        for c in range(weights.shape[1]):
+            gx, gy = here[c + 2] - here[c], down[c + 1] - up[c + 1]
+            size[r, c] = weights[r, c] * np.sqrt(gx * gx + gy * gy)
+            place[r, c] = _direction(gx, gy) * bins
 
 
 @kernel
@@ -185,26 +204,28 @@ def orientations(image: Float32, u: Float, v: Float, sigma: Float) -> tuple[Floa
     """
     n = len(u)
     first, second = np.zeros(n), np.full(n, np.nan)
-    side = 2 * _TURN_HALF + 3
-    patch = np.empty((side, side))
+    side = 2 * _TURN_HALF + 1
+    patch, weights = np.empty((side + 2, side + 2)), np.zeros((side, side))
+    for r in range(side):
+        for c in range(side):
+            square = float((r - _TURN_HALF) ** 2 + (c - _TURN_HALF) ** 2)
+            if square <= _TURN_HALF * _TURN_HALF:
+                weights[r, c] = np.exp(-square / 8.0)  # Gaussian of 1.5 sigma = 2 samples
+    size, places = np.empty((side, side)), np.empty((side, side))
     raw, smooth = np.zeros(_TURNS), np.zeros(_TURNS)
     for k in range(n):
         _patch(image, u[k], v[k], _APART * sigma[k], 0.0, _TURN_HALF + 1.0, patch)
         for b in range(_TURNS):
             raw[b] = 0.0
-        for r in range(1, side - 1):
-            for c in range(1, side - 1):
-                square = float((r - _TURN_HALF - 1) ** 2 + (c - _TURN_HALF - 1) ** 2)
-                if square > _TURN_HALF * _TURN_HALF:
+        _gradients(patch, weights, _TURNS, size, places)
+        for r in range(side):
+            for c in range(side):
+                if weights[r, c] == 0.0:
                     continue
-                gx, gy = patch[r, c + 1] - patch[r, c - 1], patch[r + 1, c] - patch[r - 1, c]
-                # Gaussian of 1.5 sigma = 2 samples
-                weight = np.exp(-square / 8.0) * np.sqrt(gx * gx + gy * gy)
-                place = _direction(gx, gy) * _TURNS
-                b = int(place)
-                part = place - b
-                raw[b % _TURNS] += weight * (1.0 - part)
-                raw[(b + 1) % _TURNS] += weight * part
+                b = int(places[r, c])
+                part = places[r, c] - b
+                raw[b % _TURNS] += size[r, c] * (1.0 - part)
+                raw[(b + 1) % _TURNS] += size[r, c] * part
         for b in range(_TURNS):
             near = raw[b - 1] + raw[(b + 1) % _TURNS]
             far = raw[b - 2] + raw[(b + 2) % _TURNS]
@@ -252,32 +273,31 @@ def describe(image: Float32, u: Float, v: Float, sigma: Float, angle: Float) -> 
     """
     n = len(u)
     out = np.zeros((n, CELLS * CELLS * BINS), np.uint8)
-    patch = np.empty((_GRID + 2, _GRID + 2))
+    patch, weights = np.empty((_GRID + 2, _GRID + 2)), np.empty((_GRID, _GRID))
+    middle = 0.5 * (_GRID - 1)
+    for r in range(_GRID):
+        for c in range(_GRID):  # the centre is most certain
+            weights[r, c] = 1.0 / (1.0 + ((c - middle) ** 2 + (r - middle) ** 2) / 64.0)
+    size, places = np.empty((_GRID, _GRID)), np.empty((_GRID, _GRID))
     # one cell and one direction of room on each side take what falls outside
     histogram = np.zeros((CELLS + 2, CELLS + 2, BINS + 1))
     for k in range(n):
         _patch(image, u[k], v[k], _APART * sigma[k], angle[k], 0.5 * (_GRID + 1), patch)
+        _gradients(patch, weights, BINS, size, places)
         histogram[:] = 0.0
         for r in range(_GRID):
-            y = r - 0.5 * (_GRID - 1)
-            row = (y + 0.5 * _GRID) / CELLS + 0.5
+            row = (r + 0.5) / CELLS + 0.5
             r0 = int(row)
             fr = row - r0
             for c in range(_GRID):
-                gx = patch[r + 1, c + 2] - patch[r + 1, c]
-                gy = patch[r + 2, c + 1] - patch[r, c + 1]
-                x = c - 0.5 * (_GRID - 1)
-                column = (x + 0.5 * _GRID) / CELLS + 0.5
+                column = (c + 0.5) / CELLS + 0.5
                 c0 = int(column)
                 fc = column - c0
-                weight = np.sqrt(gx * gx + gy * gy)
-                weight *= 1.0 / (1.0 + (x * x + y * y) / 64.0)  # the centre is most certain
-                place = _direction(gx, gy) * BINS
-                b = int(place)
-                fb = place - b
+                b = int(places[r, c])
+                fb = places[r, c] - b
                 b = min(b, BINS - 1)
                 for dr in range(2):
-                    wr = weight * (fr if dr else 1.0 - fr)
+                    wr = size[r, c] * (fr if dr else 1.0 - fr)
                     for dc in range(2):
                         wc = wr * (fc if dc else 1.0 - fc)
                         histogram[r0 + dr, c0 + dc, b] += wc * (1.0 - fb)

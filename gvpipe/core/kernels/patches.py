@@ -41,21 +41,28 @@ def _fill(
     y: float,
     spacing: float,
     half: int,
+    places: Float,
     out: Float,
 ) -> bool:
     """Sample a square of ground around (x, y); False if any of it is not in the picture."""
     shrink = 1.0 / (1 << level)
     n = 2 * half + 1
+    u, v, w = places[0, :n], places[1, :n], places[2, :n]
+    qu, qv, qw = projection[0, 1], projection[1, 1], projection[2, 1]
+    ou, ov, ow = projection[0, 2], projection[1, 2], projection[2, 2]
     for r in range(n):
         gx = x + (r - half) * spacing
+        # products first, and a loop without branches: the compiler vectorises it
+        pu, pv, pw = projection[0, 0] * gx, projection[1, 0] * gx, projection[2, 0] * gx
         for c in range(n):
             gy = y + (c - half) * spacing
-            w = projection[2, 0] * gx + projection[2, 1] * gy + projection[2, 2]
-            if w <= 1e-9:
+            w[c] = pw + qw * gy + ow
+            u[c] = (pu + qu * gy + ou) / w[c]
+            v[c] = (pv + qv * gy + ov) / w[c]
+        for c in range(n):
+            if w[c] <= 1e-9:
                 return False
-            u = (projection[0, 0] * gx + projection[0, 1] * gy + projection[0, 2]) / w
-            v = (projection[1, 0] * gx + projection[1, 1] * gy + projection[1, 2]) / w
-            value = _sample(image, u * shrink, v * shrink)
+            value = _sample(image, u[c] * shrink, v[c] * shrink)
             if value < 0.0:
                 return False
             out[r, c] = value
@@ -145,7 +152,7 @@ def _textured(moments: Float) -> bool:
 def _follow(
     patch: Float, template: Float, gx: Float, gy: Float, moments: Float,
     grey: NDArray[np.uint8], level: int, pixel_from_ground: Float,
-    x: float, y: float, step: float, max_shift: float, iterations: int,
+    x: float, y: float, step: float, max_shift: float, iterations: int, places: Float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Move a patch until it looks like the template: correlation, 0 if it never does, and shift."""
     a, b, d, energy = moments[0], moments[1], moments[2], moments[3]
@@ -167,7 +174,7 @@ def _follow(
         settled = sx * sx + sy * sy < _CONVERGED**2
         x_j, y_j = x + dx * step, y + dy * step
         if not (abs(dx) <= max_shift and abs(dy) <= max_shift) or not _fill(
-            grey, level, pixel_from_ground, x_j, y_j, step, HALF, patch
+            grey, level, pixel_from_ground, x_j, y_j, step, HALF, places, patch
         ):
             return 0.0, dx, dy
     return (score if settled else 0.0), dx, dy
@@ -212,6 +219,7 @@ def align_patches(
     shift, correlation, covariance = np.zeros((n, 2)), np.full(n, LEAVES), np.zeros((n, 2, 2))
     padded, patch = np.empty((SIDE + 2, SIDE + 2)), np.empty((SIDE, SIDE))
     template, gx, gy = np.empty((SIDE, SIDE)), np.empty((SIDE, SIDE)), np.empty((SIDE, SIDE))
+    places = np.empty((3, SIDE + 2))
     for k in range(n):
         x, y = ground[k, 0], ground[k, 1]
         density_i = _density(pixel_i_from_ground, x, y)
@@ -222,9 +230,9 @@ def align_patches(
         level_i = _level(step * density_i, len(pyramid_i))
         level_j = _level(step * density_j, len(pyramid_j))
         grey_i, grey_j = pyramid_i[level_i], pyramid_j[level_j]
-        if not _fill(grey_i, level_i, pixel_i_from_ground, x, y, step, HALF + 1, padded):
+        if not _fill(grey_i, level_i, pixel_i_from_ground, x, y, step, HALF + 1, places, padded):
             continue
-        if not _fill(grey_j, level_j, pixel_j_from_ground, x, y, step, HALF, patch):
+        if not _fill(grey_j, level_j, pixel_j_from_ground, x, y, step, HALF, places, patch):
             continue
         moments = _differentiate(padded, template, gx, gy)
         correlation[k] = LOST if _textured(moments) else BLANK
@@ -232,7 +240,7 @@ def align_patches(
             continue
         score, dx, dy = _follow(
             patch, template, gx, gy, moments, grey_j, level_j, pixel_j_from_ground,
-            x, y, step, max_shift, iterations,
+            x, y, step, max_shift, iterations, places,
         )  # fmt: skip
         if score <= 0.0:
             continue

@@ -92,13 +92,14 @@ def prepare(view_i: View, view_j: View, matches: Matches, options: MatchOptions)
     tilt_i, tilt_j = (
         options.tilt_sigma if v.mount.tilt_known else _UNKNOWN_SIGMA for v in (view_i, view_j)
     )
+    pyramids = grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)
     return Pair(
         expected=two_views(view_i, view_j),
         prior=PairPrior(
             tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
         ),
-        texture_i=texture(view_i.pixels),
-        pyramids=(grey_pyramid(view_i.pixels), grey_pyramid(view_j.pixels)),
+        texture_i=texture(pyramids[0][0]),
+        pyramids=pyramids,
         matches=matches,
         options=options,
     )

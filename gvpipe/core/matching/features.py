@@ -93,6 +93,8 @@ class Features:
     angle, size : (N,) float64
         Orientation on the ground, radians from forward to left, and diameter, metres; empty where
         the method has none.
+    dark : (N,) bool
+        Whether it is darker than its surroundings; empty where the method has none.
     """
 
     kind: str
@@ -102,11 +104,12 @@ class Features:
     pixels_per_metre: float
     angle: Float = field(default_factory=lambda: np.empty(0))
     size: Float = field(default_factory=lambda: np.empty(0))
+    dark: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
 
     @property
     def nbytes(self) -> int:
         """Memory that the arrays take."""
-        arrays = self.pixels, self.ground, self.descriptors, self.angle, self.size
+        arrays = self.pixels, self.ground, self.descriptors, self.angle, self.size, self.dark
         return sum(array.nbytes for array in arrays)
 
 

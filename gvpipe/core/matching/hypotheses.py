@@ -84,6 +84,7 @@ def _propose(
         _MAX_TURN,
         _MAX_LOG_GROWTH,
         _TOLERANCE_PX,
+        _PLAIN * len(use),
     )
     rest = assumed.parameters[4:]
     return [

@@ -41,9 +41,8 @@ def grey_pyramid(pixels: Image) -> Pyramid:
     return tuple(levels)
 
 
-def texture(pixels: Image) -> NDArray[np.float32]:
+def texture(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """How much of a corner each pixel's surroundings are, (H, W)."""
-    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     return cv2.cornerMinEigenVal(grey, 5).astype(np.float32, copy=False)
 
 

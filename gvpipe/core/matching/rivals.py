@@ -67,12 +67,14 @@ def repetitions(view: View, geometry: TwoView) -> Float:
         return np.asarray(np.fft.irfft2(np.abs(spectrum) ** 2, s=(rows, columns)))
 
     common, alike = autocorrelation(mask), autocorrelation(detail)
+    half = (rows + 1) // 2  # opposite shifts are alike
+    common, alike = common[:half], alike[:half]
     energy = alike[0, 0] / max(common[0, 0], 1.0)
     alike = alike / np.maximum(common, 1.0) / max(energy, 1e-9)
     alike[common < _REPEAT_OVERLAP * common[0, 0]] = 0.0
-    dv = np.fft.fftfreq(rows, 1.0 / rows)[:, None]
+    dv = np.arange(half, dtype=float)[:, None]
     du = np.fft.fftfreq(columns, 1.0 / columns)[None, :]
-    alike[(np.hypot(dv, du) < _REPEAT_LEAST) | (dv < 0) | ((dv == 0) & (du < 0))] = 0.0
+    alike[(np.hypot(dv, du) < _REPEAT_LEAST) | ((dv == 0) & (du < 0))] = 0.0
     peak = (cv2.dilate(alike, np.ones((5, 5))) == alike) & (alike > _REPEAT_CORRELATION)
     v, u = np.nonzero(peak)
     best = np.argsort(-alike[v, u], kind="stable")[:_REPEATS]

@@ -35,7 +35,8 @@ _MIN_SIDE = 24  # pixels: nothing to find on less
 _CONTRAST = 1.2  # grey levels; low, the number of keypoints is capped instead
 _INSIDE_PX = 4.0  # nearer to the picture's side, gradients are artefacts
 _ROOM = 20_000  # blobs a layer
-_MAX_GROWTH = 1.9  # of a blob on the ground from view to view: wrong tilts and heights stretch it
+_MAX_LOG_GROWTH = np.log(1.9)  # of a blob from view to view: wrong tilts and heights stretch it
+_NEVER_ALIKE = 1e3  # logarithm of a size: dark blobs and bright ones are far apart
 _CELLS = (12, 9)  # of the picture, to which keypoints are dealt evenly
 _ASSUMED_TILTS = (np.radians(28.0), np.radians(52.0))  # of an unknown one: SIFT bears 15 degrees
 
@@ -44,7 +45,7 @@ Grey = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class _Blobs:
-    """Keypoints of one smoothed layer: rows of u, v, sigma (raster pixels) and contrast."""
+    """Keypoints of one smoothed layer: rows of u, v, sigma, contrast (above 0: dark)."""
 
     grid: OverheadGrid
     image: NDArray[np.float32]
@@ -184,17 +185,19 @@ def extract_sift(view: View, options: MatchOptions) -> Features:
         pixels_per_metre=0.0,
         angle=np.concatenate([np.empty(0), *(part.angle for part in parts)]),
         size=np.concatenate([np.empty(0), *(part.size for part in parts)]),
+        dark=np.concatenate([np.empty(0, bool), *(part.dark for part in parts)]),
     )
 
 
 @dataclass(frozen=True)
 class _Described:
-    """Keypoints of one layer: picture pixels, descriptors, ground angles, metric sizes."""
+    """Keypoints of one layer: picture pixels, descriptors, ground angles, metric sizes, sign."""
 
     pixels: Float
     descriptors: NDArray[np.uint8]
     angle: Float
     size: Float
+    dark: NDArray[np.bool_]
 
 
 def _extract(
@@ -210,7 +213,7 @@ def _extract(
         return []
     keep = _evenly(
         np.concatenate([layer.pixels for layer in layers]),
-        np.concatenate([layer.blobs[:, 3] for layer in layers]),
+        np.abs(np.concatenate([layer.blobs[:, 3] for layer in layers])),
         camera,
         most,
     )
@@ -230,6 +233,7 @@ def _extract(
                 # raster angles run clockwise from "right"; ground angles from forward to left
                 -angle - np.pi / 2,
                 2.0 * sigma / layer.grid.pixels_per_metre,
+                layer.blobs[kept, 3][twice] > 0,
             )
         )
     return found
@@ -238,7 +242,7 @@ def _extract(
 def candidate_matches(
     features_i: Features, features_j: Features, max_ratio: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Float]:
-    """Nearest neighbours that stand out from the second nearest.
+    """Nearest neighbours, of like size and sign, that stand out from the second nearest.
 
     Parameters
     ----------
@@ -253,14 +257,15 @@ def candidate_matches(
         Matched features, most distinct first.
     ratio : (N,) float64
     """
-    order = np.argsort(features_j.size, kind="stable")
-    size = features_j.size[order]
+    sizes = [np.log(f.size) + _NEVER_ALIKE * f.dark for f in (features_i, features_j)]
+    order_i, order_j = (np.argsort(size, kind="stable") for size in sizes)
+    size_i, size_j = sizes[0][order_i], sizes[1][order_j]
     nearest, ratio = nearest_two(
-        features_i.descriptors.astype(np.uint8, copy=False),
-        features_j.descriptors[order].astype(np.uint8, copy=False),
-        np.searchsorted(size, features_i.size / _MAX_GROWTH),
-        np.searchsorted(size, features_i.size * _MAX_GROWTH),
+        features_i.descriptors[order_i].astype(np.uint8, copy=False),
+        features_j.descriptors[order_j].astype(np.uint8, copy=False),
+        np.searchsorted(size_j, size_i - _MAX_LOG_GROWTH),
+        np.searchsorted(size_j, size_i + _MAX_LOG_GROWTH),
     )
     distinct = np.flatnonzero(ratio < max_ratio)
     distinct = distinct[np.argsort(ratio[distinct], kind="stable")]
-    return distinct, order[nearest[distinct]], ratio[distinct]
+    return order_i[distinct], order_j[nearest[distinct]], ratio[distinct]

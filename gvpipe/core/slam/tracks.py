@@ -83,22 +83,27 @@ def chain_matches(
     left = np.arange(sum(sizes)) + np.repeat(offsets[:-1] // 2, sizes)
     right = left + np.repeat(sizes, sizes)
     cells = np.column_stack([camera, np.round(pixel / SAME_CORNER_PX)]).astype(np.int64)
-    _, first, corner = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    corner = corner.ravel()
+    _, first, corner = np.unique(_keys(cells), return_index=True, return_inverse=True)
     count = len(first)
     graph = coo_matrix((np.ones(len(left)), (corner[left], corner[right])), (count, count))
     _, chain = connected_components(graph, directed=False)
     return _gather(camera, pixel, first, chain.astype(np.int64), corner[left], corner[right])
 
 
+def _keys(rows: Index) -> Index:
+    """One number for each row, (N,), in the order of the rows: they are sorted much faster."""
+    low, high = rows.min(axis=0, initial=0), rows.max(axis=0, initial=0)
+    return np.ravel_multi_index(tuple((rows - low).T), tuple(high - low + 1)).astype(np.int64)
+
+
 def _gather(
     camera: Index, pixel: Float, first: Index, chain: Index, left: Index, right: Index
 ) -> Tracks:
     """Split the chains that meet an image twice, then list the observations by track."""
-    seen = np.column_stack([chain, camera[first]])
-    _, inverse, times = np.unique(seen, axis=0, return_inverse=True, return_counts=True)
+    seen = _keys(np.column_stack([chain, camera[first]]))
+    _, inverse, times = np.unique(seen, return_inverse=True, return_counts=True)
     torn = np.zeros(chain.max(initial=-1) + 1, dtype=bool)
-    torn[chain[times[inverse.ravel()] > 1]] = True
+    torn[chain[times[inverse] > 1]] = True
     whole = ~torn[chain]
     loose = np.unique(np.column_stack([left, right])[torn[chain[left]]], axis=0)
     loose = loose[camera[first[loose[:, 0]]] != camera[first[loose[:, 1]]]]
