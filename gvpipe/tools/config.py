@@ -23,8 +23,13 @@ def config_show(config: ConfigPath, overrides: Overrides = None, out: OutDir = N
 
 
 def config_check(config: ConfigPath, overrides: Overrides = None, out: OutDir = None) -> None:
-    """Check a configuration and its calibrations; list every error."""
+    """Check a configuration, its calibrations and that its pictures are there; list every error."""
+    from gvpipe.configcheck import doubts
     from gvpipe.configfile import load_config
+    from gvpipe.report import Reporter, log
 
-    load_config(config, tuple(overrides or ()), out)
+    Reporter()  # warnings go where those of a run go
+    loaded = load_config(config, tuple(overrides or ()), out, inputs=True)
+    for doubt in doubts(loaded):
+        log.warning("%s", doubt)
     typer.echo(f"{config}: no errors")
