@@ -172,6 +172,11 @@ class Reporter:
             head = Text("wrote".ljust(width + 2), style="bold")
             self._out.print(head + Text(printable(shortest(path)), style="not bold"))
 
+    def text(self, lines: str) -> None:
+        """Print lines that are to be copied, as they are."""
+        for line in lines.splitlines() if not self.quiet else ():
+            self._out.print(Text(printable(line)))
+
 
 class Ticker:
     """Counts steps of a loop and logs a heartbeat."""
