@@ -10,9 +10,7 @@ def add(app: typer.Typer) -> None:
     config = typer.Typer(help="Look at a configuration.", no_args_is_help=True)
     app.add_typer(config, name="config")
     config.command("show", epilog="Example: gvpipe config show configs/example.yaml")(config_show)
-    config.command("check", epilog="Example: gvpipe config check configs/example.yaml")(
-        config_check
-    )
+    config.command("check", epilog="Example: gvpipe config check mine.yaml")(config_check)
 
 
 def config_show(config: ConfigPath, overrides: Overrides = None, out: OutDir = None) -> None:
