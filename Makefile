@@ -1,5 +1,6 @@
 # Two commands do everything on a machine with Python 3.11+ and make: `make run`, `make test`.
-# make run CONFIG=path/to/config.yaml works on any set; OUT is where its artefacts go.
+# make run CONFIG=path/to/config.yaml works on any set; its artefacts go where it says,
+# or to OUT.
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -10,12 +11,14 @@ BIN    := $(VENV)/bin
 GVPIPE := $(BIN)/gvpipe
 STAMP  := $(VENV)/.installed
 DEV    := $(VENV)/.installed-dev
-OUT    ?= runs/$(basename $(notdir $(CONFIG)))
+OUT    ?=
 
-# Exit code 5 means "ran, no result": the artefact is written and says why, so the chain goes on.
-STAGE   = $(GVPIPE) $(1) $(CONFIG) --out $(OUT) --jobs $(JOBS) || [ $$? -eq 5 ]
-SOURCES := $(shell find gvpipe -name '*.py' 2>/dev/null)
-INPUTS  := $(CONFIG)
+# Where CONFIG says, unless OUT is given.
+ARGUMENTS = "$(CONFIG)" $(if $(OUT),--out "$(OUT)")
+
+OUTPUT    = $(BIN)/python -c 'import pathlib, gvpipe.configfile as c; \
+	print(c.load_config(pathlib.Path("$(CONFIG)")).output)'
+ARTEFACTS = match localize overlap slam mosaic reconstruct report .*.lock .*.checkpoints
 
 .DELETE_ON_ERROR:
 .SUFFIXES:
@@ -24,29 +27,11 @@ INPUTS  := $(CONFIG)
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-run all: $(OUT)/report/report.json ## run the whole chain on CONFIG (default: the sample)
-	@echo "artefacts of $(CONFIG) are in $(OUT); look at $(OUT)/report/report.html"
-
-$(OUT)/match/match.json: $(INPUTS) $(STAMP)
-	$(call STAGE,match)
-
-$(OUT)/localize/localize.json: $(OUT)/match/match.json
-	$(call STAGE,localize)
-
-$(OUT)/overlap/overlap.json: $(INPUTS) $(STAMP)
-	$(call STAGE,overlap)
-
-$(OUT)/slam/slam.json: $(OUT)/match/match.json $(OUT)/overlap/overlap.json
-	$(call STAGE,slam)
-
-$(OUT)/mosaic/mosaic.json: $(OUT)/slam/slam.json
-	$(call STAGE,mosaic)
-
-$(OUT)/reconstruct/obstacles.json: $(OUT)/mosaic/mosaic.json
-	$(call STAGE,reconstruct)
-
-$(OUT)/report/report.json: $(OUT)/reconstruct/obstacles.json $(OUT)/localize/localize.json
-	$(GVPIPE) report $(CONFIG) --out $(OUT) --jobs $(JOBS)
+# gvpipe knows by content what is fresh, so it is always asked. Exit code 5 means "ran, no result":
+# the artefact is written and says why, and so does the report.
+run all: $(STAMP) ## run what has changed of the chain on CONFIG (default: the sample), and report
+	$(GVPIPE) run $(ARGUMENTS) --jobs $(JOBS) || [ $$? -eq 5 ]
+	$(GVPIPE) report $(ARGUMENTS) --jobs $(JOBS)
 
 install: $(STAMP) ## set up gvpipe in $(VENV)
 
@@ -98,8 +83,8 @@ audit: $(DEV) ## look the pinned packages up among known weaknesses
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
 	$(BIN)/pip-audit --requirement constraints.txt --no-deps --disable-pip
 
-clean: ## remove the artefacts of CONFIG
-	rm -rf $(OUT)
+clean: $(STAMP) ## remove the artefacts of CONFIG
+	cd "$(or $(OUT),$(shell $(OUTPUT)))" && rm -rf $(ARTEFACTS)
 
 distclean: ## remove all artefacts and the environment
 	rm -rf runs $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -1,6 +1,7 @@
 """The chain of stages: what each is made from, and whether what is there is still fresh."""
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -73,6 +74,19 @@ class Chain:
         bodies = stage_module(stage).needs(self._config)
         return {body.stage: self.fresh(body) for body in bodies}
 
+    def require(self, chosen: Sequence[str]) -> None:
+        """Refuse commands that read what none before them makes, and what is not there.
+
+        Raises
+        ------
+        InputError
+            As the first of them would, but before anything is computed.
+        """
+        for k, stage in enumerate(chosen):
+            for body in stage_module(stage).needs(self._config):
+                if body.stage not in chosen[:k]:
+                    self._read(body)
+
     def expectation(self, stage: str) -> Expectation:
         """Work out what the stage's artefact must be made from to be fresh."""
         inputs = {entry.image_id: entry.sha256 for entry in self._dataset.entries}
@@ -87,10 +101,7 @@ class Chain:
         stage = body.stage
         if stage not in self._loaded:
             command = f"gvpipe {stage} CONFIG"
-            try:
-                artefact = read_artefact(self.folder(stage), body)
-            except InputError as error:
-                raise InputError(f"{error}; `{command}` makes it") from None
+            artefact = self._read(body)
             changed = self.expectation(stage).mismatch(artefact.header)
             if changed:
                 path = self.folder(stage) / body.file
@@ -103,6 +114,13 @@ class Chain:
             log.debug("read %s", escape(str(self.folder(stage) / body.file)))
             self._loaded[stage] = artefact
         return self._loaded[stage]
+
+    def _read(self, body: type[Body]) -> Artefact[Any]:
+        """Read an artefact, or say which command makes it."""
+        try:
+            return read_artefact(self.folder(body.stage), body)
+        except InputError as error:
+            raise InputError(f"{error}; `gvpipe {body.stage} CONFIG` makes it") from None
 
 
 def unreadable(dataset: Dataset) -> tuple[SkippedImage, ...]:

@@ -24,6 +24,9 @@ from gvpipe.names import escape, nearest
 
 _ROBOT_NAME = re.compile(r"\w[\w.-]{0,63}\Z")
 _LONGEST_QUOTE = 60  # characters of a wrong value that a message repeats
+HIGH_M, HEIGHTS_APART = 10.0, 10.0
+"""Heights above this, and robots' heights this many times apart, are doubted."""
+
 _Model = TypeVar("_Model", bound=Section)
 
 
@@ -248,6 +251,22 @@ def _check_horizon(
                 expected = "expected the lowest image row below the horizon"
                 seen = f"sees no ground at tilt {tilt:g}, roll {roll:g}"
                 yield Finding(path, f"{seen}; {expected}")
+
+
+def doubts(config: Config) -> Iterator[str]:
+    """Say what is allowed but hardly meant: heights in another unit than metres."""
+    for name, robot in config.robots.items():
+        heights = {"height": robot.height}
+        heights |= {f"overrides.{k}.height": o.height or 0.0 for k, o in robot.overrides.items()}
+        for key, height in heights.items():
+            if height > HIGH_M:
+                where = escape(f"robots.{name}.{key}")
+                yield f"{where}: is {height:g}, higher than floors are mapped from; in metres?"
+    heights_m = [(robot.height, name) for name, robot in config.robots.items()]
+    low, high = min(heights_m), max(heights_m)
+    if high[0] > HEIGHTS_APART * low[0]:
+        other = f"robots.{escape(low[1])}.height is {low[0]:g}"
+        yield f"robots.{escape(high[1])}.height: is {high[0]:g}, but {other}; both in metres?"
 
 
 def _valid(model: type[_Model], raw: object) -> _Model | None:

@@ -13,10 +13,11 @@ from pydantic.fields import FieldInfo
 from gvpipe.config import Config, Section
 from gvpipe.configcheck import Finding, accepted, check
 from gvpipe.core.types import Rejected
-from gvpipe.errors import ConfigError, InputError, UsageError
+from gvpipe.errors import ConfigError, GvpipeError, InputError, UsageError
 from gvpipe.formats.calibration import read_calibration
 from gvpipe.formats.files import read_regular_file
 from gvpipe.formats.strict_yaml import MAX_BYTES, KeyPath, format_value, parse_bytes, parse_text
+from gvpipe.inputcheck import missing_inputs
 from gvpipe.names import escape
 
 _LOCATIONS: Any = {"output": True, "robots": {"__all__": {"images": True, "poses": True}}}
@@ -28,7 +29,9 @@ _PLACEHOLDER_CAMERA = {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 
 """Stands for a calibration that could not be read, so that the other checks can go on."""
 
 
-def load_config(path: Path, overrides: Sequence[str] = (), out: Path | None = None) -> Config:
+def load_config(
+    path: Path, overrides: Sequence[str] = (), out: Path | None = None, *, inputs: bool = False
+) -> Config:
     """Read a configuration file.
 
     Parameters
@@ -39,6 +42,8 @@ def load_config(path: Path, overrides: Sequence[str] = (), out: Path | None = No
         ``key.path=value``, the value written as YAML; each replaces one key.
     out : Path, optional
         Output folder, relative to the current folder; wins over the file's ``output``.
+    inputs : bool
+        Also look for the pictures and poses that it names.
 
     Returns
     -------
@@ -48,7 +53,8 @@ def load_config(path: Path, overrides: Sequence[str] = (), out: Path | None = No
     Raises
     ------
     InputError
-        If the file is missing or unreadable.
+        If the file is missing or unreadable; or, with `inputs`, what it names, and nothing else is
+        wrong.
     UsageError
         If an override is not of the form ``key.path=value``.
     ConfigError
@@ -62,7 +68,10 @@ def load_config(path: Path, overrides: Sequence[str] = (), out: Path | None = No
     config, findings = check(tree.data)
     for finding in findings:
         tree.report(finding)
-    tree.raise_if_wrong()
+    mistaken = bool(tree.wrong)
+    for finding in missing_inputs(tree.data, base) if inputs else ():
+        tree.report(finding)
+    tree.raise_if_wrong(ConfigError if mistaken else InputError)
     assert config is not None  # check gives a configuration or findings
     robots = {
         name: robot.model_copy(
@@ -141,11 +150,11 @@ class _Tree:
         self.wrong.append((origin or self.origin(path), path, message))
         self.unread.add(path)
 
-    def raise_if_wrong(self) -> None:
+    def raise_if_wrong(self, kind: type[GvpipeError] = ConfigError) -> None:
         """Raise one error that lists all mistakes in the order of the file."""
         if self.wrong:
             in_order = sorted(self.wrong, key=lambda item: item[0][:2])
-            raise ConfigError(
+            raise kind(
                 "\n".join(f"{at}: {_dotted(path)}{text}" for (*_, at), path, text in in_order)
             )
 

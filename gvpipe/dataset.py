@@ -155,8 +155,13 @@ def open_dataset(config: Config, *, jobs: int = 1) -> Dataset:
             if not any(isinstance(o, ImageEntry) for o in outcomes):
                 raise InputError(_nothing_usable(name, robot, outcomes))
             if robot.poses is not None:
-                ids = [_image_id(name, item) for item in found if item.counts]
-                poses |= known_poses(robot.poses, robot.images, ids)
+                heights = {
+                    _image_id(name, item): _mount(robot, _override(robot, item)).height
+                    for item in found
+                    if item.counts
+                }
+                key = f"robots.{name}.height"
+                poses |= known_poses(robot.poses, robot.images, heights, key)
                 pose_files[name] = file_sha256(pose_file(robot.poses))[0]
     _check_ids(config, [e.image_id for e in entries] + [s.image for s in skipped])
     usable = {entry.image_id for entry in entries}
@@ -204,8 +209,7 @@ def _outcome(
     image_id = _image_id(name, item)
     if item.problem:
         return Skipped(image_id, item.problem)
-    over = robot.overrides.get(escape(item.name)) or robot.overrides.get(escape(item.path.name))
-    over = over or OverrideConfig()
+    over = _override(robot, item)
     camera_name = over.camera or robot.camera
     config = cameras[camera_name]
     if (item.width, item.height) != (config.width, config.height):
@@ -225,6 +229,12 @@ def _outcome(
         exif_orientation=item.orientation,
         source=PixelSource(item.path, item.frame, item.sha256, camera, distortion),
     )
+
+
+def _override(robot: RobotConfig, item: FoundImage) -> OverrideConfig:
+    """Look up what differs for a file, or for a frame."""
+    over = robot.overrides.get(escape(item.name)) or robot.overrides.get(escape(item.path.name))
+    return over or OverrideConfig()
 
 
 def _mount(robot: RobotConfig, over: OverrideConfig) -> Mount:

@@ -185,6 +185,11 @@ class Reporter:
             self._out.print(Text(head + " " * (width - cell_len(head)), style="bold"), end="")
             self._out.print(line)
 
+    def text(self, lines: str) -> None:
+        """Print lines that are to be copied, as they are."""
+        for line in lines.splitlines() if not self.quiet else ():
+            self._out.print(Text(printable(line)))
+
 
 class Ticker:
     """Counts the steps of a loop and tells now and then how far it is."""

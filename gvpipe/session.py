@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Self
 
 from gvpipe.config import Config
+from gvpipe.configcheck import doubts
 from gvpipe.dataset import Dataset, open_dataset
 from gvpipe.errors import InputError
 from gvpipe.featurestore import FeatureStore
@@ -52,7 +53,7 @@ class Session:
 
 
 def open_images(config: Config, jobs: int) -> Dataset:
-    """Open the images, and say which cannot be used.
+    """Open the images, and say which cannot be used and what of their settings is doubtful.
 
     Raises
     ------
@@ -66,6 +67,8 @@ def open_images(config: Config, jobs: int) -> Dataset:
     for robot, entries in dataset.robots.items():
         first = entries[0].camera
         log.debug("%s: %d pictures of %dx%d", robot, len(entries), first.width, first.height)
+    for doubt in doubts(config):
+        log.warning("%s", doubt)
     for skipped in dataset.skipped:
         log.warning("skipped %s: %s", skipped.image, skipped.reason)
     return dataset

@@ -26,7 +26,7 @@ class Terminated(BaseException):
     """SIGTERM arrived; unwinds like an interruption so that everything is cleaned up."""
 
 
-def supervised(work: Callable[[], int]) -> int:
+def supervised(work: Callable[[], int], parting: str = "") -> int:
     """Run a function in a process of its own and return its exit code.
 
     Parameters
@@ -34,6 +34,8 @@ def supervised(work: Callable[[], int]) -> int:
     work : callable
         Returns an exit code. In its process SIGINT raises `KeyboardInterrupt` and SIGTERM
         :class:`Terminated`, once; later signals are ignored so that cleaning up is not disturbed.
+    parting : str
+        What is said on standard error after a signal; nothing if it is empty.
 
     Returns
     -------
@@ -62,12 +64,14 @@ def supervised(work: Callable[[], int]) -> int:
     os.waitid(os.P_PID, worker, os.WEXITED | os.WNOWAIT)  # its number is its own until it is reaped
     signal.pthread_sigmask(signal.SIG_BLOCK, {*_SIGNALS, signal.SIGALRM})
     code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
-    return _exit_code(code, received)
+    return _exit_code(code, received, parting)
 
 
-def _exit_code(code: int, received: list[int]) -> int:
+def _exit_code(code: int, received: list[int], parting: str) -> int:
     """Map the end of the working process to a documented code."""
     if code and received:
+        if parting:  # said here: the working process may have had to be killed
+            _say(f"{'interrupted' if received[0] == signal.SIGINT else 'terminated'}; {parting}")
         return 128 + received[0]
     if code >= 0:
         return code

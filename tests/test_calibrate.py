@@ -11,7 +11,15 @@ from gvpipe.cli import run
 from gvpipe.core.calibration.board import Board, BoardView, calibrate_board, find_board
 from gvpipe.core.calibration.circular_points import metric_residuals, spanning_tree
 from gvpipe.core.calibration.common_plane import ground_pairs
-from gvpipe.core.calibration.plane_cameras import distort, ray_from_ground, undistort
+from gvpipe.core.calibration.plane_cameras import (
+    FARTHEST,
+    GLOBALS,
+    Matches,
+    distort,
+    jacobian,
+    ray_from_ground,
+    undistort,
+)
 from gvpipe.core.calibration.raw_matching import PlanePair, match_planes, raw_features
 from gvpipe.core.calibration.self_calibration import SelfCalibration, self_calibrate
 from gvpipe.core.geometry.ground import pixel_from_plane
@@ -83,6 +91,27 @@ def test_lens_distortion_is_opencvs_and_can_be_undone() -> None:
     wanted = cv2.projectPoints(points, zero, zero, np.eye(3), lens)[0][:, 0]
     assert np.allclose(distort(rays, *k), wanted)
     assert np.allclose(undistort(distort(rays, *k), *k), rays, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e200])
+@pytest.mark.parametrize("unknown", range(GLOBALS + 4))
+def test_steps_gone_astray_cost_all_they_can_and_nothing_overflows(
+    unknown: int, size: float
+) -> None:
+    rng = np.random.default_rng(5)
+    held = np.array([0.0, 0.0, 0.0, 0.0, 0.8, 0.0])
+    points = rng.uniform(-0.4, 0.4, (2, 30, 2))
+    cameras = np.zeros(30, np.int64)
+    matches = Matches(points[0], points[1], cameras, cameras + 1)
+    for sign in (-1.0, 1.0):
+        shared, poses = np.zeros(GLOBALS), np.stack([held, held])
+        if unknown < GLOBALS:
+            shared[unknown] = sign * size
+        else:
+            poses[1, unknown - GLOBALS] = sign * size
+        error, *derivatives = jacobian(shared, poses, matches)
+        assert (np.abs(error) <= FARTHEST).all()
+        assert all(np.isfinite(part).all() for part in derivatives)
 
 
 def test_true_cameras_have_no_residual() -> None:
@@ -291,6 +320,20 @@ def test_opencv_reads_what_is_written_for_it(tmp_path: Path) -> None:
     assert storage.getNode("distortion_coefficients").mat().ravel().tolist() == list(LENSES[2])
     assert storage.getNode("image_width").real() == 640
     storage.release()
+
+
+def test_without_a_file_the_format_asked_for_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = Calibration(640, 480, 500.0, 510.0, 319.5, 239.5, 0.0, LENSES[1])
+    (tmp_path / "cameras.txt").write_text(WRITERS["colmap"](camera, ""))
+    command = ["calibrate", "convert", str(tmp_path / "cameras.txt")]
+    for style in WRITERS:
+        assert run([*command, "--format", style]) == 0
+        name = "cam0" if style == "kalibr" else "cam"
+        assert WRITERS[style](camera, name).strip() in capsys.readouterr().out
+    assert run(command) == 0
+    assert WRITERS["gvpipe"](camera, "cam").strip() in capsys.readouterr().out
 
 
 def test_conversion_from_the_command_line(tmp_path: Path) -> None:

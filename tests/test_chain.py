@@ -271,6 +271,23 @@ def test_missing_artefacts_name_the_command(tiny: TinySet, tmp_path: Path, capsy
         assert f"gvpipe {maker}" in capsys.readouterr().err
 
 
+def test_what_would_stop_halfway_is_refused_at_once(tiny: TinySet, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    command = ["run", str(tiny.config), "--out", str(tmp_path / "o"), "--stages"]
+    assert run([*command, "match,slam,mosaic"]) == 4
+    assert "`gvpipe overlap CONFIG` makes it" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_one_robot_needs_no_overlap(tiny: TinySet, tmp_path: Path) -> None:
+    text = tiny.config.read_text().replace("images: A", f"images: {tiny.config.parent / 'A'}")
+    config = tmp_path / "one.yaml"
+    config.write_text("".join(x for x in text.splitlines(True) if not x.startswith("  B:")))
+    assert run(["run", str(config), "--stages", "match,slam", "--jobs", "1", "-q"]) == 0
+    slam = json.loads((tmp_path / "run/slam/slam.json").read_text())
+    assert len(slam["poses"]) > 2
+    assert not (tmp_path / "run/overlap").exists()
+
+
 def test_wrong_command_lines_end_with_2(tiny: TinySet) -> None:
     assert run(["match"]) == 2
     assert run(["match", str(tiny.config), "--no-such-option"]) == 2

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from gvpipe.cli import run
 from gvpipe.config import CameraConfig, Config, sees_ground
 from gvpipe.configfile import load_config, section_sha256, show_config
 from gvpipe.errors import ConfigError, GvpipeError, InputError, UsageError
@@ -420,3 +421,55 @@ def test_known_points_are_shown_as_they_load(write) -> None:  # type: ignore[no-
     [point] = config.slam.control
     assert (point.image, point.pixel, point.map) == ("A/1.jpg", (1.0, 2.5), (-3.0, 4.0))
     assert load_config(write(show_config(config))).slam == config.slam
+
+
+TEAM = f"""cameras:
+  cam0: {CAMERA}
+robots:
+  A: {{images: a, height: 0.5, tilt: 33}}
+  B: {{images: gone, height: 0.6, tilt: 33}}
+  C: {{images: a, height: 0.5, tilt: 33, poses: gone.tum}}
+  D: {{images: empty, height: 0.5, tilt: 33}}
+"""
+
+
+def test_check_lists_all_that_is_not_there(write, tmp_path, capsys):
+    write("no picture", "a/0.png")
+    (tmp_path / "empty").mkdir()
+    path = write(TEAM)
+    assert run(["config", "check", str(path)]) == 4
+    lines = capsys.readouterr().err.removeprefix("gvpipe: ").splitlines()
+    assert [line.split(": ")[1] for line in lines] == [
+        "robots.B.images",
+        "robots.C.poses",
+        "robots.D.images",
+    ]
+    assert lines[0].startswith(f"{path}:5:")
+    assert lines[0].endswith(f"{tmp_path / 'gone'}: no such file or folder")
+    assert "no usable image" in lines[2]
+    write(TEAM.replace("0.6", "tall"))
+    assert run(["config", "check", str(path)]) == 3
+    assert len(capsys.readouterr().err.splitlines()) == 4
+    load_config(write(TEAM))  # others may want the settings alone
+
+
+@pytest.mark.parametrize(
+    ("heights", "doubted"),
+    [
+        ((0.5, 1.2), []),
+        ((9.0, 0.95), []),
+        ((37.9, 21.0), ["robots.A.height: is 37.9, higher", "robots.B.height: is 21, higher"]),
+        ((0.05, 0.6), ["robots.B.height: is 0.6, but robots.A.height is 0.05; both in metres?"]),
+    ],
+)
+def test_heights_in_another_unit_are_doubted(heights, doubted, write, capsys):
+    write("no picture", "a/0.png")
+    both = zip("AB", heights, strict=True)
+    robots = "".join(f"  {n}: {{images: a, height: {h}, tilt: 33}}\n" for n, h in both)
+    path = write(f"cameras:\n  cam0: {CAMERA}\nrobots:\n{robots}")
+    assert run(["config", "check", str(path)]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == len(doubted)
+    for line, doubt in zip(said, doubted, strict=True):
+        assert line.startswith("WARNING")
+        assert doubt in line

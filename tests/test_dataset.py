@@ -235,12 +235,23 @@ def test_known_poses_count_bad_images_but_not_other_files(make):
         ("0 0 0 1 0 0 0 1\n", r"p.tum: 1 poses; expected 2, one line for each image in"),
         ("0 0 0 1 0 0 0 1\n0 0 0 1 0 0 1 1\n", r"p.tum:2: the quaternion's norm is 1.414"),
         ("0 0 0 1 0 0 0 1\n0 0 0 -1 0 0 0 1\n", r"the camera of A/2.png is -1 m above the gro"),
+        (
+            "# in millimetres\n0 0 0 400 0 0 0 1\n1 0 0 500 0 0 0 1\n",
+            r"p.tum:3: the camera of A/2.png is 500 m above .* but robots.A.height says 0.5 m; exp",
+        ),
+        ("0 0 0 0.1 0 0 0 1\n1 0 0 0.12 0 0 0 1\n", r"p.tum:1: the camera of A/1.png is 0.1 m "),
     ],
 )
 def test_poses_that_do_not_fit_are_refused(poses, expected, make):
     files = {"a/1.png": png(), "a/2.png": png(), "p.tum": poses.encode()}
     with pytest.raises(InputError, match=expected):
         open_dataset(make(files, ROBOT_WITH_POSES))
+
+
+def test_one_picture_from_a_ladder_is_no_other_unit(make):
+    poses = "".join(f"{k} {k} 0 {z} 0 0 0 1\n" for k, z in enumerate((0.5, 0.6, 2.5)))
+    files = {"p.tum": poses.encode()} | {f"a/{k}.png": png() for k in range(3)}
+    assert len(open_dataset(make(files, ROBOT_WITH_POSES)).poses) == 3
 
 
 def write_video(path, count=5):

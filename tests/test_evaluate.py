@@ -180,8 +180,27 @@ def test_names_are_paired_by_what_makes_them_unique() -> None:
     a = Trajectory("a", here, names=("A/0.jpg", "B/0.jpg"))
     b = Trajectory("b", here, names=("set/images/B/0.jpg", "set/images/A/0.jpg"))
     assert associate(a, b, 0.0) == [(0, 1), (1, 0)]
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"\(A/0\.jpg and x begin them\); expected the same names"):
         associate(a, Trajectory("c", here, names=("x", "y")), 0.0)
+    timed = [Trajectory(names[0], here, stamps=(0.0, 1.0), names=names) for names in ("pq", "xy")]
+    assert associate(*timed, 0.01) == [(0, 0), (1, 1)]
+
+
+def test_robots_called_otherwise_are_paired_in_their_order() -> None:
+    here = tuple(walk(1, 3))
+    a = Trajectory("a", here, names=("A/0.jpg", "B/0.jpg", "B/1.jpg"))
+    b = Trajectory("b", here, names=("left/0.jpg", "right/1.jpg", "right/0.jpg"))
+    assert associate(a, b, 0.0) == [(0, 0), (1, 2), (2, 1)]
+    one = Trajectory("c", here[:2], names=("left/0.jpg", "left/1.jpg"))
+    with pytest.raises(InputError, match=r"A/0\.jpg and left/0\.jpg begin them"):
+        associate(a, one, 0.0)
+
+
+def test_times_far_apart_are_named() -> None:
+    here = tuple(walk(1, 2))
+    a, b = (Trajectory("x", here, stamps=(start, start + 1)) for start in (0.0, 100.0))
+    with pytest.raises(InputError, match=r"within 0\.01 s of each other; 0\.0 and 100\.0 s begin"):
+        associate(a, b, 0.01)
 
 
 def test_kitti_and_colmap_round_trips(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from hypothesis import strategies as st
 
 import gvpipe
 from gvpipe import checkpoint, output
+from gvpipe.__main__ import PARTING, _quiet
 from gvpipe.artefacts import digest, read_artefact
 from gvpipe.checkpoint import Checkpoints
 from gvpipe.cli import run
@@ -162,12 +163,13 @@ def owe():
     print("owed")
     return 5
 supervisor.GRACE_S = {grace_s}
-sys.exit(supervisor.supervised(lambda: {work}))
+sys.exit(supervisor.supervised(lambda: {work}, {parting!r}))
 """
 
 
-def supervised(work: str, grace_s: float = GRACE_S) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", SUPERVISED.format(work=work, grace_s=grace_s)]
+def supervised(work: str, grace_s: float = GRACE_S, parting: str = "") -> subprocess.Popen[str]:
+    program = SUPERVISED.format(work=work, grace_s=grace_s, parting=parting)
+    command = [sys.executable, "-c", program]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True)
 
@@ -182,6 +184,27 @@ def test_a_process_that_does_not_listen_is_ended_in_time(number: int, code: int)
     assert process.wait(10) == code
     assert time.monotonic() - started < 2.0
     process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("number", "said"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")]
+)
+@pytest.mark.parametrize("work", ["deaf()", "swallow()"])
+def test_a_signal_ends_in_one_line(work: str, number: int, said: str) -> None:
+    process = supervised(work, grace_s=0.2, parting=PARTING)
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    assert process.communicate(timeout=10)[1] == f"gvpipe: {said}; {PARTING}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "quiet"),
+    [("run a.yaml -q", True), ("run a.yaml -fq", True), ("run --quiet a.yaml", True)]
+    + [(f"run {name} --out q", False) for name in ("q.yaml", "a-q.yaml")],
+)
+def test_quiet_is_told_from_the_command_line(arguments: str, quiet: bool) -> None:
+    assert _quiet(arguments.split()) == quiet
 
 
 def test_what_a_signal_breaks_is_no_defect() -> None:

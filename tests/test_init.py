@@ -60,6 +60,42 @@ def test_the_camera_is_found_in_its_pictures(walk: Path, tmp_path: Path) -> None
     assert "self-calibrated from 5 pictures" in out.read_text()
 
 
+def test_setting_one_number_suffices_where_no_height_was_measured(
+    walk: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "walk.yaml"
+    assert run(["init", str(walk), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "NOT MEASURED, taken as 1; set robots." in said
+    assert "gvpipe run walk.yaml" in said
+    assert "gvpipe report walk.yaml" in said
+    out.write_text(out.read_text().replace("height: 1  # NOT", "height: 0.6  # NOT"))
+    config = load_config(out)
+    assert all(len(robot.overrides) == 5 for robot in config.robots.values())
+    assert {entry.mount.height for entry in open_dataset(config).entries} == {0.6}
+
+
+def test_each_robot_may_have_a_height_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("low", "tall"):
+        picture(tmp_path / "team" / name / "0.jpg")
+    command = ["init", str(tmp_path / "team"), "--focal", "60", "--height", "0.4"]
+    assert run([*command, "--height", "tall=1.2"]) == 0
+    heights = {name: r.height for name, r in load_config(tmp_path / "team.yaml").robots.items()}
+    assert heights == {"low": 0.4, "tall": 1.2}
+    assert "1.2 m, the median of its pictures" in capsys.readouterr().out
+    assert run([*command, "--force", "--height", "flat=1"]) == 2
+    assert "no such robot; expected one of low, tall" in capsys.readouterr().err
+    for wrong in ("37.9cm", "nan", "-1", "tall="):
+        assert run([*command, "--force", "--height", wrong]) == 2
+        assert "expected a number of metres from 0.001 to 1000" in capsys.readouterr().err
+
+
 def test_without_texture_it_guesses_and_says_so(tmp_path: Path) -> None:
     for k in range(3):
         picture(tmp_path / "flat" / f"{k}.jpg")

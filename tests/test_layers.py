@@ -21,6 +21,7 @@ LAYERS: list[set[str]] = [
         "gvpipe.examine",
         "gvpipe.pixels",
     },
+    {"gvpipe.inputcheck"},
     {"gvpipe.configfile", "gvpipe.artefacts", "gvpipe.checkpoint"},
     {"gvpipe.dataset", "gvpipe.featurestore"},
     {"gvpipe.stages", "gvpipe.report"},

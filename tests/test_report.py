@@ -144,10 +144,15 @@ def test_the_same_run_gives_the_same_bytes(chain: TinySet, out: Path) -> None:
 
 
 def test_missing_and_stale_stages_are_named_with_their_commands(
-    chain: TinySet, out: Path, tmp_path: Path
+    chain: TinySet, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "run"
-    assert run(["report", str(chain.config), "--out", str(folder), "-q"]) == 0
+    assert run(["report", str(chain.config), "--out", str(folder)]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        f"WARNING  not shown, for missing or stale: {', '.join(STAGES)}; "
+        "`gvpipe run CONFIG` makes them"
+    ]
     words = "".join(Page(folder / "report" / "report.html").words)
     for stage in ("match", "overlap"):
         assert f"{stage}/{stage}.json: missing; gvpipe {stage} CONFIG makes it" in words

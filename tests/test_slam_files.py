@@ -159,13 +159,14 @@ def test_known_poses_come_from_a_colmap_model(tmp_path: Path) -> None:
         images = [PosedImage(n, 1, p) for n, p in zip(names, order, strict=True)]
         (tmp_path / "images.txt").write_text(format_images(images))
         for source in (tmp_path, tmp_path / "images.txt"):
-            known = known_poses(source, tmp_path, ids)
+            heights = dict(zip(ids, (pose.translation[2] for pose in poses), strict=True))
+            known = known_poses(source, tmp_path, heights)
             for image_id, pose in zip(ids, poses, strict=True):
                 np.testing.assert_allclose(
                     known[image_id].translation, pose.translation, atol=1e-12
                 )
     with pytest.raises(InputError, match=r"images\.txt: no pose of A/4\.jpg"):
-        known_poses(tmp_path, tmp_path, ["A/4.jpg"])
+        known_poses(tmp_path, tmp_path, {"A/4.jpg": 1.0})
 
 
 def test_points_name_their_features(tmp_path: Path) -> None:

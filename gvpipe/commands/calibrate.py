@@ -177,7 +177,7 @@ def ground(
     jobs: int,
     focal_px: float | None,
     out: Path | None,
-    style: str,
+    style: str | None,
 ) -> None:
     """Self-calibrate and write the result.
 
@@ -193,8 +193,8 @@ def ground(
         Where the search begins; else EXIF, else a field of view of 60 degrees.
     out : Path, optional
         File to write.
-    style : str
-        A key of :data:`WRITERS`.
+    style : str, optional
+        A key of :data:`WRITERS`; by default OpenCV's in a file, lines for CONFIG on the screen.
 
     Raises
     ------
@@ -228,7 +228,9 @@ def ground(
     _write(c, out, style, "ground", rows, reporter)
 
 
-def board(path: Path, pattern: Board, reporter: Reporter, *, out: Path | None, style: str) -> None:
+def board(
+    path: Path, pattern: Board, reporter: Reporter, *, out: Path | None, style: str | None
+) -> None:
     """Calibrate from photographs of a board and write the result.
 
     Parameters
@@ -241,8 +243,8 @@ def board(path: Path, pattern: Board, reporter: Reporter, *, out: Path | None, s
         Progress and the table.
     out : Path, optional
         File to write.
-    style : str
-        A key of :data:`WRITERS`.
+    style : str, optional
+        A key of :data:`WRITERS`; by default OpenCV's in a file, lines for CONFIG on the screen.
 
     Raises
     ------
@@ -282,7 +284,9 @@ def board(path: Path, pattern: Board, reporter: Reporter, *, out: Path | None, s
     _write(calibration, out, style, "board", rows, reporter)
 
 
-def convert(path: Path, reporter: Reporter, *, name: str, out: Path | None, style: str) -> None:
+def convert(
+    path: Path, reporter: Reporter, *, name: str, out: Path | None, style: str | None
+) -> None:
     """Read a calibration in one format, write it in another.
 
     Raises
@@ -307,18 +311,19 @@ def convert(path: Path, reporter: Reporter, *, name: str, out: Path | None, styl
 def _write(
     calibration: Calibration,
     out: Path | None,
-    style: str,
+    style: str | None,
     what: str,
     rows: list[tuple[str, str]],
     reporter: Reporter,
 ) -> None:
-    """Write the file, print the table; without a file the lines for a configuration."""
+    """Write the file, print the table; without a file, what it would hold."""
+    style = style or ("opencv" if out is not None else "gvpipe")
     try:
         text = WRITERS[style](calibration, "cam" if style != "kalibr" else "cam0")
     except ValueError as error:
         raise InputError(f"--format {style}: {error}") from error
     if out is not None:
         write_file(out, text)
-    else:
-        rows = [*rows, ("in CONFIG", WRITERS["gvpipe"](calibration, "cam").strip())]
     reporter.result(f"gvpipe calibrate {what}", rows, [out] if out else [])
+    if out is None:
+        reporter.text(text)

@@ -1,8 +1,9 @@
 """``gvpipe init``: look at pictures, guess what can be guessed, write a configuration."""
 
 import re
+import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,11 +17,11 @@ from gvpipe.configfile import load_config
 from gvpipe.core.calibration.self_calibration import EXPECTED_FOCAL
 from gvpipe.core.types import Image, Rejected
 from gvpipe.dataset import open_dataset
-from gvpipe.errors import InputError, OutputError
+from gvpipe.errors import InputError, OutputError, UsageError
 from gvpipe.formats.jpeg import jpeg_bytes
 from gvpipe.formats.video import is_video_file
 from gvpipe.names import escape
-from gvpipe.report import Reporter, log
+from gvpipe.report import Reporter, log, shortest
 
 MOST_FRAMES = 24
 """Frames of a video that are looked at."""
@@ -53,7 +54,7 @@ def run(
     reporter: Reporter,
     *,
     out: Path | None,
-    height_m: float | None,
+    heights_m: Mapping[str, float],
     tilt_deg: float | None,
     focal_px: float | None,
     calibrate: bool,
@@ -70,8 +71,8 @@ def run(
         Says what was found and guessed.
     out : Path, optional
         Configuration to write; default is beside the first folder, under its name.
-    height_m : float, optional
-        The one measured number.
+    heights_m : mapping of str to float
+        Measured heights by robot; that of ``""`` is for all others.
     tilt_deg, focal_px : float, optional
         What the user knows better than a guess.
     calibrate : bool
@@ -85,6 +86,8 @@ def run(
     ------
     InputError
         If there are no pictures.
+    UsageError
+        If a height is given for a robot that there is not.
     OutputError
         If the configuration exists, or cannot be written.
     """
@@ -94,21 +97,46 @@ def run(
     ).absolute()
     if path.exists() and not force:
         raise OutputError(f"{escape(str(path))}: exists; --force replaces it, --out names another")
-    found = [robot for folder in folders for robot in _robots(folder.absolute())]
-    found = [_upright(robot, path.parent) for robot in _distinct(found)]
+    found = _distinct([robot for folder in folders for robot in _robots(folder.absolute())])
+    _check_names(heights_m, [robot.name for robot in found])
+    found = [_upright(robot, path.parent) for robot in found]
     said: list[tuple[str, str]] = []
-    robots, cameras = _guess(found, reporter, said, height_m, tilt_deg, focal_px, calibrate, jobs)
+    robots, cameras = _guess(found, reporter, said, heights_m, tilt_deg, focal_px, calibrate, jobs)
     count = sum(len(robot.photos) for robot in found)
     exhaustive = count <= MOST_EXHAUSTIVE
     resolution = _resolution(robots, cameras)
-    text = config_text(path, cameras, robots, height_m, exhaustive, resolution)
+    text = config_text(path, cameras, robots, exhaustive, resolution)
     write_file(path, text)
     open_dataset(load_config(path), jobs=jobs)
     said.append(("map", f"{resolution:g} m a pixel"))
-    if height_m is None:
-        said.append(("height", "not given: lengths are in camera heights; --height METRES tells"))
-    said.append(("next", f"make run CONFIG={path}"))
+    said += _heights(robots)
+    config = shlex.quote(shortest(path))
+    said += [("next", f"gvpipe run {config}"), ("then", f"gvpipe report {config}")]
     reporter.result("gvpipe init", said, [path])
+
+
+def _check_names(heights_m: Mapping[str, float], names: Sequence[str]) -> None:
+    """Each height is of a robot that there is."""
+    for name in heights_m:
+        if name and name not in names:
+            known = f"expected one of {', '.join(names)}"
+            raise UsageError(f"--height {escape(name)}=...: no such robot; {known}")
+
+
+def _heights(robots: Sequence[RobotGuess]) -> list[tuple[str, str]]:
+    """Say what is taken for the height of each robot's camera."""
+    unknown = [robot.name for robot in robots if not robot.measured]
+    rows = [
+        (f"{robot.name}: height", f"{robot.height_m:g} m, the median of its pictures")
+        for robot in robots
+        if robot.measured
+    ]
+    if unknown:
+        whose = ", ".join(f"robots.{name}.height" for name in unknown)
+        rows.append(("height", f"NOT MEASURED, taken as 1; set {whose} or give --height METRES"))
+    if len(robots) > 1:
+        rows.append(("heights", f"--height {robots[-1].name}=METRES is for one robot"))
+    return rows
 
 
 def _robots(path: Path) -> list[Found]:
@@ -201,7 +229,7 @@ def _guess(
     found: Sequence[Found],
     reporter: Reporter,
     said: list[tuple[str, str]],
-    height_m: float | None,
+    heights_m: Mapping[str, float],
     tilt_deg: float | None,
     focal_px: float | None,
     calibrate: bool,
@@ -244,7 +272,8 @@ def _guess(
         said.append(
             (f"{robot.name}: focal length", f"{guess.calibration.fx:.1f} px ({guess.source})")
         )
-        robots.append(_robot_guess(robot, camera, outcome, height_m or 1.0, tilt_deg))
+        measured = heights_m.get(robot.name, heights_m.get(""))
+        robots.append(_robot_guess(robot, camera, outcome, measured, tilt_deg))
         said.append((f"{robot.name}: tilt", robots[-1].said))
     return robots, cameras
 
@@ -253,14 +282,15 @@ def _robot_guess(
     robot: Found,
     camera: str,
     outcome: GroundCalibration | Rejected,
-    height_m: float,
+    measured_m: float | None,
     tilt_deg: float | None,
 ) -> RobotGuess:
     """Say how a robot holds its camera."""
+    height_m, measured = measured_m or 1.0, measured_m is not None
     if isinstance(outcome, Rejected):
         tilt = "auto" if tilt_deg is None else f"{tilt_deg:g}"
         said = "auto: found while matching" if tilt_deg is None else f"{tilt_deg:g}°, given"
-        return RobotGuess(robot.name, robot.images, camera, height_m, tilt, 0.0, {}, said)
+        return RobotGuess(robot.name, robot.images, camera, height_m, measured, tilt, 0.0, {}, said)
     s = outcome.solution
     tilts = {k: float(np.degrees(v)) for k, v in s.tilt.items()}
     rolls = {k: float(np.degrees(v)) for k, v in s.roll.items()}
@@ -281,6 +311,7 @@ def _robot_guess(
         robot.images,
         camera,
         height_m,
+        measured,
         f"{level:.1f}",
         round(roll, 1),
         {} if steady else overrides,

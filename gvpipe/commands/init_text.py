@@ -46,6 +46,8 @@ class RobotGuess:
         Name of its camera.
     height_m : float
         Of the camera.
+    measured : bool
+        Whether somebody measured that.
     tilt : str
         Degrees, or ``auto``.
     roll_deg : float
@@ -60,6 +62,7 @@ class RobotGuess:
     images: Path
     camera: str
     height_m: float
+    measured: bool
     tilt: str
     roll_deg: float
     overrides: Mapping[str, tuple[float, float, float]]
@@ -70,7 +73,6 @@ def config_text(
     path: Path,
     cameras: Mapping[str, CameraGuess],
     robots: Sequence[RobotGuess],
-    height_m: float | None,
     exhaustive: bool,
     resolution_m: float,
 ) -> str:
@@ -82,8 +84,6 @@ def config_text(
         Where it will lie; paths in it are relative to its folder.
     cameras, robots
         What was guessed.
-    height_m : float or None
-        As measured, if it was.
     exhaustive : bool
         Match all pictures with each other.
     resolution_m : float
@@ -99,22 +99,27 @@ def config_text(
         lines += ["  " + line for line in format_gvpipe(guess.calibration, name).splitlines()]
     lines.append("robots:")
     for robot in robots:
-        lines += _robot_lines(robot, path.parent, height_m is not None)
+        lines += _robot_lines(robot, path.parent)
     pairs = "exhaustive" if exhaustive else "consecutive"
+    unit = "metres a pixel of the map"
+    if not all(robot.measured for robot in robots):
+        unit += "; in proportion to height: change both"
     why = "few pictures: all with each other" if exhaustive else "each with the next"
     lines += [
         f"output: {format_value('runs/' + path.stem)}",
         f"match: {{pairs: {pairs}}}  # {why}",
-        f"mosaic: {{resolution: {resolution_m:g}}}  # metres a pixel of the map",
+        f"mosaic: {{resolution: {resolution_m:g}}}  # {unit}",
     ]
     return "\n".join(lines) + "\n"
 
 
-def _robot_lines(robot: RobotGuess, base: Path, measured: bool) -> list[str]:
+def _robot_lines(robot: RobotGuess, base: Path) -> list[str]:
     """Lines of one robot."""
     relative = Path(os.path.relpath(robot.images, base))
     where = robot.images if relative.parts[:3] == ("..", "..", "..") else relative
-    told = "as measured; every length scales with it" if measured else "NOT MEASURED: set it"
+    told = "metres, as measured; every length scales with it"
+    if not robot.measured:
+        told = "NOT MEASURED: set it, in metres; every length scales with it"
     lines = [
         f"  {format_value(robot.name)}:",
         f"    images: {format_value(str(where))}",
@@ -126,8 +131,11 @@ def _robot_lines(robot: RobotGuess, base: Path, measured: bool) -> list[str]:
         lines.append(f"    roll: {robot.roll_deg:g}  # clockwise seen from behind the camera")
     if robot.overrides:
         lines.append("    overrides:  # held by hand: each picture's own, from self-calibration")
-        lines += [
-            f"      {format_value(name)}: {{tilt: {tilt:g}, height: {height:g}, roll: {roll:g}}}"
-            for name, (tilt, height, roll) in robot.overrides.items()
-        ]
+        if not robot.measured:  # absolute heights would not follow the one to be set
+            lines.append(
+                "      # no heights while that of the robot is not measured: slam finds them"
+            )
+        for name, (tilt, height, roll) in robot.overrides.items():
+            own = f"height: {height:g}, " if robot.measured else ""
+            lines.append(f"      {format_value(name)}: {{tilt: {tilt:g}, {own}roll: {roll:g}}}")
     return lines

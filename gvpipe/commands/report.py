@@ -19,7 +19,7 @@ from gvpipe.configfile import section_sha256
 from gvpipe.errors import InputError
 from gvpipe.output import locked, writing_to
 from gvpipe.records import Header, ReportBody, ReportedStage
-from gvpipe.report import Reporter
+from gvpipe.report import Reporter, log
 from gvpipe.session import open_images
 
 PAGE = "report.html"
@@ -71,6 +71,9 @@ def run(config: Config, reporter: Reporter, *, jobs: int) -> None:
         with writing_to(out / "report"), staging(out, "report") as staged:
             (staged / PAGE).write_text(page(shown), encoding="utf-8")
             publish(staged, out / "report", header, body)
+    if shown.missing:
+        which = ", ".join(shown.missing)
+        log.warning("not shown, for missing or stale: %s; `gvpipe run CONFIG` makes them", which)
     rows = [("stages", f"{len(shown.artefacts)} of {len(STAGES)} shown")]
     rows += [(f"no {stage}", reason) for stage, reason in shown.missing.items()]
     rows += [("warnings", str(len(body.warnings)))]

@@ -16,6 +16,7 @@ from gvpipe.formats.files import read_regular_file
 from gvpipe.formats.kitti import read_kitti
 from gvpipe.formats.tum import read_tum
 from gvpipe.names import escape
+from gvpipe.report import log
 
 MOST_JSON_BYTES = 256 << 20
 
@@ -174,7 +175,8 @@ def associate(
     Parameters
     ----------
     estimate, reference : Trajectory
-        By image names if both have them, else by time if both have it, else by order.
+        By image names if both have them; where these do not fit or are missing, by time if both
+        have it; by order only where names or times are missing, for they would contradict it.
     max_gap_s : float
         Largest difference of paired times.
 
@@ -188,25 +190,29 @@ def associate(
     InputError
         If nothing fits together.
     """
+    both = f"{estimate.source} and {reference.source}"
+    pairs: list[tuple[int, int]] = []
     if estimate.names and reference.names:
         pairs = _by_name(estimate.names, reference.names)
-    elif estimate.stamps and reference.stamps:
+    if not pairs and estimate.stamps and reference.stamps:
         pairs = _by_time(estimate.stamps, reference.stamps, max_gap_s)
-    elif len(estimate.poses) == len(reference.poses):
-        pairs = [(k, k) for k in range(len(estimate.poses))]
-    else:
+    if pairs:
+        return pairs
+    if estimate.names and reference.names:
+        first = f"{escape(estimate.names[0])} and {escape(reference.names[0])} begin them"
+        hint = "expected the same names, or TUM or KITTI files, which go by time or order"
+        raise InputError(f"{both}: no image names agree ({first}); {hint}")
+    if estimate.stamps and reference.stamps:
+        first = f"{estimate.stamps[0]!r} and {reference.stamps[0]!r} s begin them"
+        raise InputError(f"{both}: no times within {max_gap_s:g} s of each other; {first}")
+    if len(estimate.poses) != len(reference.poses):
         counts = f"{len(estimate.poses)} and {len(reference.poses)} poses"
-        raise InputError(
-            f"{estimate.source} and {reference.source}: {counts}; expected names or times in "
-            "both, or as many poses"
-        )
-    if not pairs:
-        raise InputError(f"{estimate.source} and {reference.source}: no pose belongs to another")
-    return pairs
+        raise InputError(f"{both}: {counts}; expected names or times in both, or as many poses")
+    return [(k, k) for k in range(len(estimate.poses))]
 
 
 def _by_name(estimate: Sequence[str], reference: Sequence[str]) -> list[tuple[int, int]]:
-    """Pair equal names, else the longest common endings, else the file's last number."""
+    """Pair equal names, else the longest common endings, else files of one name within robots."""
     keys: list[Callable[[str], str]] = [
         lambda name: name,
         lambda name: "/".join(name.split("/")[-2:]),
@@ -219,7 +225,29 @@ def _by_name(estimate: Sequence[str], reference: Sequence[str]) -> list[tuple[in
         pairs = [(k, table[key(name)]) for k, name in enumerate(estimate) if key(name) in table]
         if unique and pairs:
             return pairs
-    return []
+    return _within_robots(estimate, reference)
+
+
+def _within_robots(estimate: Sequence[str], reference: Sequence[str]) -> list[tuple[int, int]]:
+    """Pair files of one name in folders that come at the same place: robots called otherwise."""
+    folders, true_folders = (
+        list(dict.fromkeys(name.rpartition("/")[0] for name in names))
+        for names in (estimate, reference)
+    )
+    if len(folders) != len(true_folders):
+        return []
+    table = {name: k for k, name in enumerate(reference)}
+    there = dict(zip(folders, true_folders, strict=True))
+    pairs = []
+    for k, name in enumerate(estimate):
+        folder, _, file = name.rpartition("/")
+        found = table.get(f"{there[folder]}/{file}")
+        if found is not None:
+            pairs.append((k, found))
+    if pairs:
+        taken = ", ".join(f"{escape(a)} = {escape(b)}" for a, b in there.items())
+        log.info("robots are taken in their order: %s", taken)
+    return pairs
 
 
 def _by_time(

@@ -28,7 +28,12 @@ StampedPose = tuple[float, Pose]
 
 
 def read_tum(path: Path) -> list[StampedPose]:
-    """Read a trajectory.
+    """Read a trajectory; see :func:`read_tum_lines`."""
+    return [stamped for _, stamped in read_tum_lines(path)]
+
+
+def read_tum_lines(path: Path) -> list[tuple[int, StampedPose]]:
+    """Read a trajectory, and on which line of the file each pose is.
 
     Parameters
     ----------
@@ -37,8 +42,9 @@ def read_tum(path: Path) -> list[StampedPose]:
 
     Returns
     -------
-    poses : list of (float, Pose)
-        Timestamp and map_from_camera, in the order of the file; quaternions normalised.
+    poses : list of (int, (float, Pose))
+        Line from 1, timestamp and map_from_camera, in the order of the file; quaternions
+        normalised.
 
     Raises
     ------
@@ -57,7 +63,7 @@ def read_tum(path: Path) -> list[StampedPose]:
             pose = _parse(text)
             if isinstance(pose, str):
                 raise InputError(f"{name}:{number}: {pose}")
-            poses.append(pose)
+            poses.append((number, pose))
     return poses
 
 

@@ -19,6 +19,7 @@ from gvpipe.records import (
     EdgeRow,
     MatchBody,
     OverlapBody,
+    OverlapRow,
     PoseRow,
     RejectedEdgeRow,
     SlamBody,
@@ -51,9 +52,10 @@ side would look sound, and show no common ground."""
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:
-    """Read homographies, unless every robot's poses are known."""
-    known = all(robot.poses is not None for robot in config.robots.values())
-    return () if known else (MatchBody, OverlapBody)
+    """Read homographies, unless every robot's poses are known; one robot meets no other."""
+    if all(robot.poses is not None for robot in config.robots.values()):
+        return ()
+    return (MatchBody,) if len(config.robots) == 1 else (MatchBody, OverlapBody)
 
 
 def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
@@ -153,9 +155,16 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
 def _tried(context: Context) -> set[tuple[str, str]]:
     """List the pairs that were matched or rejected before."""
     pairs = {(row.image_i, row.image_j) for row in context.artefact(MatchBody).body.pairs}
-    for row in context.artefact(OverlapBody).body.overlaps:
+    for row in _overlaps(context):
         pairs |= {(c.image_i, c.image_j) for c in row.candidates}
     return pairs
+
+
+def _overlaps(context: Context) -> tuple[OverlapRow, ...]:
+    """Overlaps of each two robots."""
+    if OverlapBody not in needs(context.config):
+        return ()
+    return context.artefact(OverlapBody).body.overlaps
 
 
 def _proposed(
@@ -213,6 +222,8 @@ def _matched(context: Context) -> Iterator[Link]:
 
 def _overlapping(context: Context) -> Iterator[Link]:
     """Turn validated overlaps into links."""
+    if not _overlaps(context):
+        return
     overlap = context.artefact(OverlapBody)
     points = overlap.arrays("overlap.npz")
     for row in overlap.body.overlaps:

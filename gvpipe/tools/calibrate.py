@@ -9,10 +9,14 @@ from gvpipe.errors import UsageError
 from gvpipe.tools.options import Jobs, LogJson, Quiet, Verbose, argument, option, some_jobs
 
 Style = Annotated[
-    Literal["opencv", "ros", "kalibr", "colmap", "gvpipe"],
-    option("--format", "Format of the file; gvpipe reads all but `gvpipe`, which is for pasting."),
+    Literal["opencv", "ros", "kalibr", "colmap", "gvpipe"] | None,
+    option(
+        "--format",
+        "Format of the file; gvpipe reads all but `gvpipe`, which is for pasting.",
+        show_default="opencv; without --out gvpipe",
+    ),
 ]
-Out = Annotated[Path | None, option("--out", "File to write.", metavar="FILE")]
+Out = Annotated[Path | None, option("--out", "File to write; else it is printed.", metavar="FILE")]
 Photos = Annotated[Path, argument("Folder, glob or video.", "PHOTOS")]
 
 
@@ -49,7 +53,7 @@ def calibrate_ground(
         option("--focal", "Where to begin, pixels.", min=10, show_default="EXIF, else 60° wide"),
     ] = None,
     out: Out = None,
-    style: Style = "opencv",
+    style: Style = None,
     jobs: Jobs = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -73,7 +77,7 @@ def calibrate_board(
         float, option("--marker", "Side of a ChArUco marker (4x4_250), metres; 0 = chessboard.")
     ] = 0.0,
     out: Out = None,
-    style: Style = "opencv",
+    style: Style = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
     log_json: LogJson = False,
@@ -97,7 +101,7 @@ def calibrate_convert(
     source: Annotated[Path, argument("Calibration to read.", "FILE")],
     name: Annotated[str, option("--name", "Which camera, where the file holds several.")] = "",
     out: Out = None,
-    style: Style = "opencv",
+    style: Style = None,
     quiet: Quiet = False,
 ) -> None:
     """Convert a calibration."""

@@ -135,7 +135,7 @@ def run_stages(
     """Run all six commands, or those named, one after the other in one process.
 
     One that ends without a result (exit code 5) does not keep the others from running, unless
-    they need it.
+    they need it. What they read and neither make nor find is an error before the first begins.
     """
     from gvpipe.report import Reporter
 
@@ -143,9 +143,15 @@ def run_stages(
     reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
     missing: NoResultError | None = None
     with _session(config, out, overrides, jobs, memory_limit) as session:
+<<<<<<< HEAD
         if dry_run:
             return _plan(chosen, session, reporter, force=force)
         for name in chosen:
+=======
+        if not dry_run:  # which says all that it finds
+            _require(chosen, session)
+        for k, name in enumerate(chosen):
+>>>>>>> fixa
             try:
                 _run(name, session, reporter, force=force)
             except NoResultError as error:
@@ -166,6 +172,13 @@ def _chosen(stages: str | None) -> list[str]:
         if name not in COMMANDS:
             raise UsageError(f"--stages: {name!r} is none of {', '.join(COMMANDS)}")
     return [name for name in COMMANDS if name in names]
+
+
+def _require(chosen: Sequence[str], session: "Session") -> None:
+    """Refuse at once what would be refused halfway."""
+    from gvpipe.chain import Chain
+
+    Chain(session.config, session.dataset).require(chosen)
 
 
 def _session(

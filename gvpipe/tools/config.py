@@ -10,9 +10,7 @@ def add(app: typer.Typer) -> None:
     config = typer.Typer(help="Look at a configuration.", no_args_is_help=True)
     app.add_typer(config, name="config")
     config.command("show", epilog="Example: gvpipe config show configs/example.yaml")(config_show)
-    config.command("check", epilog="Example: gvpipe config check configs/example.yaml")(
-        config_check
-    )
+    config.command("check", epilog="Example: gvpipe config check mine.yaml")(config_check)
 
 
 def config_show(config: ConfigPath, overrides: Overrides = None, out: OutDir = None) -> None:
@@ -23,8 +21,13 @@ def config_show(config: ConfigPath, overrides: Overrides = None, out: OutDir = N
 
 
 def config_check(config: ConfigPath, overrides: Overrides = None, out: OutDir = None) -> None:
-    """Check a configuration and its calibrations; list every error."""
+    """Check a configuration, its calibrations and that its pictures are there; list every error."""
+    from gvpipe.configcheck import doubts
     from gvpipe.configfile import load_config
+    from gvpipe.report import Reporter, log
 
-    load_config(config, tuple(overrides or ()), out)
+    Reporter()  # warnings go where those of a run go
+    loaded = load_config(config, tuple(overrides or ()), out, inputs=True)
+    for doubt in doubts(loaded):
+        log.warning("%s", doubt)
     typer.echo(f"{config}: no errors")

@@ -29,12 +29,14 @@ def add(app: typer.Typer) -> None:
         "trajectory",
         help="Absolute and relative pose errors (ATE, RPE), as evo and the TUM benchmark define "
         "them. Files: TUM, KITTI, slam.json, groundtruth.json or the folder of a COLMAP text "
-        "model; poses are paired by image name, else by time, else by order.",
+        "model; poses are paired by image name (or file name within each robot, robots in their "
+        "order), else by time, else, where names or times are missing, by order.",
         epilog="Example: gvpipe evaluate trajectory run/slam/slam.json groundtruth.json",
     )(evaluate_trajectory)
     evaluate.command(
         "homography",
-        help="How far matched homographies move ground pixels from where they belong.",
+        help="How far matched homographies move ground pixels from where they belong; images are "
+        "paired by name, or by file name within each robot, robots in their order.",
         epilog="Example: gvpipe evaluate homography run/match groundtruth.json",
     )(evaluate_homography)
     evaluate.command(

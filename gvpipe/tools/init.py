@@ -5,7 +5,11 @@ from typing import Annotated
 
 import typer
 
+from gvpipe.errors import UsageError
 from gvpipe.tools.options import Jobs, LogJson, Quiet, Verbose, argument, option, some_jobs
+
+LEAST_M, MOST_M = 1e-3, 1000.0
+"""Heights that a camera may have."""
 
 
 def add(app: typer.Typer) -> None:
@@ -15,19 +19,19 @@ def add(app: typer.Typer) -> None:
         help="Look at pictures and write a configuration for them: cameras by self-calibration, "
         "EXIF or a guess, folders as robots, tilts. Asks nothing and says what it guessed; the "
         "one number to measure is the height of the camera.",
-        epilog="Example: gvpipe init photos --height 1.35 && make run CONFIG=photos.yaml",
+        epilog="Example: gvpipe init photos --height 1.35 && gvpipe run photos.yaml",
     )(init)
 
 
 def init(
     folders: Annotated[list[Path], argument("Folders of pictures, globs or videos.", "FOLDER...")],
     height: Annotated[
-        float | None,
+        list[str] | None,
         option(
             "--height",
-            "Camera above the ground, metres (of all pictures: the median).",
-            min=1e-3,
-            max=1000,
+            "Camera above the ground, metres: the median of each robot's pictures. Robots of "
+            "different heights: ROBOT=METRES for each, by the name of its folder.",
+            metavar="[ROBOT=]METRES",
         ),
     ] = None,
     tilt: Annotated[
@@ -59,10 +63,23 @@ def init(
         folders,
         Reporter(quiet=quiet, verbose=verbose, log_json=log_json),
         out=out,
-        height_m=height,
+        heights_m=dict(map(_height, height or ())),
         tilt_deg=tilt,
         focal_px=focal,
         calibrate=calibrate,
         force=force,
         jobs=some_jobs(jobs),
     )
+
+
+def _height(text: str) -> tuple[str, float]:
+    """Read one height, and the robot it is of; no name means all."""
+    robot, _, number = text.rpartition("=")
+    try:
+        metres = float(number)
+    except ValueError:
+        metres = 0.0
+    if not LEAST_M <= metres <= MOST_M:
+        expected = f"a number of metres from {LEAST_M:g} to {MOST_M:g}, for example 0.379"
+        raise UsageError(f"--height {text!r}: expected {expected}")
+    return robot, metres

@@ -11,6 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from gvpipe.__main__ import PARTING
 from tests.faults.kills import Figures, Target, add, hit
 from tests.faults.rig import COMMANDS, start
 
@@ -33,7 +34,7 @@ def interrupt(target: Target, stage: str, delay_s: float, rng: random.Random) ->
     what = f"{stage}: {number.name} to {whom} after {delay_s:.2f} s"
     if not late and ended not in {code, 0, *([-number, 1] if delay_s < BOOT_S else [])}:
         figures.problems.append(f"{what}: ended with {ended}: {err[-300:]}")
-    if not late and delay_s > BOOT_S and err:
+    if not late and delay_s > BOOT_S and err and (len(err.splitlines()) > 1 or PARTING not in err):
         figures.problems.append(f"{what}: said {err[-300:]!r}")
     if figures.seconds[-1] > MOST_S:
         figures.problems.append(f"{what}: took {figures.seconds[-1]:.2f} s to end")

@@ -22,6 +22,10 @@ LEAST_SLOPE = 0.2
 FARTHEST = 10.0
 """Error of points that fall behind a camera, picture widths: no weight is left at that."""
 
+MOST = 1e13
+"""Focal length, height and position that a step gone astray is kept within, so that products of
+them are numbers; such cameras have no weight left."""
+
 
 @dataclass(frozen=True)
 class Matches:
@@ -85,7 +89,7 @@ def ray_from_ground(poses: Float) -> Float:
         ahead,
     ]
     camera_from_map = np.stack(rows, axis=1)
-    centre = np.stack([x, y, np.exp(log_height)], axis=-1)
+    centre = np.stack([np.clip(x, -MOST, MOST), np.clip(y, -MOST, MOST), _exp(log_height)], -1)
     shift = -np.einsum("nij,nj->ni", camera_from_map, centre)
     return np.stack([camera_from_map[..., 0], camera_from_map[..., 1], shift], axis=-1)
 
@@ -156,19 +160,24 @@ def by_centre(shared: Float, poses: Float, matches: Matches) -> Float:
 
 def _rays(shared: Float, matches: Matches) -> Float:
     """Rays of the points in pictures i, (N, 3)."""
-    rays = undistort(matches.points_i / np.exp(shared[0]), shared[1], shared[2])
+    rays = undistort(matches.points_i / _exp(shared[0]), shared[1], shared[2])
     return np.column_stack([rays, np.ones(len(rays))])
 
 
 def _errors(shared: Float, forward_j: Float, ground: Float, matches: Matches) -> Float:
     """Distance of ground points, seen by cameras j, from where they were found, (N, 2)."""
     seen = _apply(forward_j, ground)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         mapped = seen[:, :2] / seen[:, 2:]
-        error = np.exp(shared[0]) * distort(mapped, shared[1], shared[2]) - matches.points_j
+        error = _exp(shared[0]) * distort(mapped, shared[1], shared[2]) - matches.points_j
     behind = ~(np.isfinite(error).all(axis=1) & (np.abs(error) < FARTHEST).all(axis=1))
     error[behind] = FARTHEST
     return np.asarray(error)
+
+
+def _exp(logarithm: Float) -> Float:
+    """Exponential, from 1 / MOST to MOST."""
+    return np.exp(np.clip(logarithm, -np.log(MOST), np.log(MOST)))
 
 
 def _apply(matrices: Float, vectors: Float) -> Float:
