@@ -143,15 +143,10 @@ def run_stages(
     reporter = Reporter(quiet=quiet, verbose=verbose, log_json=log_json)
     missing: NoResultError | None = None
     with _session(config, out, overrides, jobs, memory_limit) as session:
-<<<<<<< HEAD
         if dry_run:
             return _plan(chosen, session, reporter, force=force)
+        _require(chosen, session)
         for name in chosen:
-=======
-        if not dry_run:  # which says all that it finds
-            _require(chosen, session)
-        for k, name in enumerate(chosen):
->>>>>>> fixa
             try:
                 _run(name, session, reporter, force=force)
             except NoResultError as error:
