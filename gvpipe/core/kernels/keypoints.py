@@ -139,9 +139,7 @@ def find_blobs(
 
 @kernel
 def _bilinear(image: Float32, u: float, v: float) -> float:
-    """Value with the border repeated."""
-    rows, columns = image.shape
-    u, v = min(max(u, 0.0), columns - 1.001), min(max(v, 0.0), rows - 1.001)
+    """Value between pixels."""
     c, r = int(u), int(v)
     fu, fv = u - c, v - r
     top = image[r, c] + fu * (image[r, c + 1] - image[r, c])
@@ -155,10 +153,17 @@ def _patch(
 ) -> None:
     """Fill `out` with a square turned by `angle`, rows along its second axis."""
     c, s = apart * np.cos(angle), apart * np.sin(angle)
-    for r in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            x, y = k - half, r - half
-            out[r, k] = _bilinear(image, u + c * x - s * y, v + s * x + c * y)
+    side = out.shape[0]
+    last_u, last_v = image.shape[1] - 1.001, image.shape[0] - 1.001
+    us, vs = np.empty(side), np.empty(side)
+    for r in range(side):
+        y = r - half
+        for k in range(side):
+            x = k - half
+            us[k] = min(max(u + c * x - s * y, 0.0), last_u)
+            vs[k] = min(max(v + s * x + c * y, 0.0), last_v)
+        for k in range(side):
+            out[r, k] = _bilinear(image, us[k], vs[k])
 
 
 @kernel
