@@ -35,5 +35,6 @@ def test_a_session_that_did_nothing_opens_nothing(tmp_path: Path) -> None:
     config = load_config(make_small_set(tmp_path))
     for image in (tmp_path / "A").iterdir():
         image.unlink()
-    with Session(config, 2):
+    with Session(config, 2) as session:
         pass
+    assert not {"dataset", "workers"} & vars(session).keys()

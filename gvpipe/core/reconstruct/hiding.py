@@ -98,13 +98,12 @@ def hidden_ground(
     hidden : list of (H, W) uint8
         255 where the ground is hidden, else 0.
     """
-    below = [down_to_ground(solid.inside) for solid in solids]
+    below = [Solid(down_to_ground(solid.inside), solid.grid) for solid in solids]
     around = np.ones((2 * GROWTH + 1,) * 2, np.uint8)
 
     def one(index: int) -> Mask:
-        mask = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * np.uint8(255)
-        for filled, solid in zip(below, solids, strict=True):
-            mask = np.maximum(mask, render_mask(filled, solid.grid, views[index]))
+        shape = (np.nan_to_num(shapes[index]) > 0.5).astype(np.uint8) * np.uint8(255)
+        mask = np.maximum(shape, _rendered(below, views[index]))
         return cv2.dilate(mask, around).astype(np.uint8)
 
     return list(pool.map(one, range(len(views))))
@@ -131,9 +130,14 @@ def bodies_seen(
     around = np.ones((2 * EDGE + 1,) * 2, np.uint8)
 
     def one(view: PosedView) -> Mask:
-        mask = np.zeros(view.pixels.shape[:2], np.uint8)
-        for solid in solids:
-            mask = np.maximum(mask, render_mask(solid.inside, solid.grid, view))
-        return cv2.erode(mask, around).astype(np.uint8)
+        return cv2.erode(_rendered(solids, view), around).astype(np.uint8)
 
     return list(pool.map(one, views))
+
+
+def _rendered(solids: Sequence[Solid], view: PosedView) -> Mask:
+    """Where a view shows any of them."""
+    mask = np.zeros(view.pixels.shape[:2], np.uint8)
+    for solid in solids:
+        mask = np.maximum(mask, render_mask(solid.inside, solid.grid, view))
+    return mask
