@@ -210,10 +210,11 @@ def test_other_methods_give_the_same_files(chain: TinySet, tmp_path: Path, choic
     (obstacle,) = document["obstacles"]
     (usual,) = chain.document("reconstruct")["obstacles"]
     assert obstacle["volume_m3"] == pytest.approx(0.22 * 0.16 * 0.16, rel=0.4)
-    assert obstacle["centroid"] == pytest.approx(usual["centroid"], abs=0.015)
+    evolves = choice.startswith("evolution")
+    away = 0.01 if evolves else 0.015  # carving leaves the roof that silhouettes cannot see
+    assert obstacle["centroid"] == pytest.approx(usual["centroid"], abs=away)
     assert obstacle["confidence"] > 0.8
     energies = [e for _, e in document["energy"]]
-    evolves = choice.startswith("evolution")
     assert (len(energies) > 3) == evolves
     assert (np.diff(energies) <= 0).all()
     pictures = {"evolution.png", "terms.png"}
