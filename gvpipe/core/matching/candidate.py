@@ -25,7 +25,7 @@ class Pair:
         As configured.
     prior : PairPrior
         Error of the configuration.
-    texture_i : (H, W) float32
+    texture_i : (h, w) float32
         From :func:`gvpipe.core.matching.patches.texture`.
     pyramids : pair of tuple of (h, w) uint8
         From :func:`gvpipe.core.matching.patches.grey_pyramid`.
@@ -98,7 +98,7 @@ def prepare(view_i: View, view_j: View, matches: Matches, options: MatchOptions)
         prior=PairPrior(
             tilt_i, tilt_j, options.roll_sigma, options.height_sigma, options.max_tilt_error
         ),
-        texture_i=texture(pyramids[0][0]),
+        texture_i=texture(pyramids[0]),
         pyramids=pyramids,
         matches=matches,
         options=options,

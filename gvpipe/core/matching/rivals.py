@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from gvpipe.core.geometry.ground import overhead_grid, overhead_view
 from gvpipe.core.geometry.twoview import TwoView
@@ -56,19 +57,12 @@ def repetitions(view: View, geometry: TwoView) -> Float:
     reach = _REPEAT_RANGE * mount.height
     grid = overhead_grid(view.camera, mount, _REPEAT_SIDE / reach, reach)
     overhead, seen = overhead_view(view.pixels, view.camera, mount, grid)
-    mask = seen.astype(np.float64)
+    mask = seen.astype(np.float32)
     grey = cv2.cvtColor(overhead, cv2.COLOR_RGB2GRAY) * mask
     weight = np.maximum(cv2.GaussianBlur(mask, (0, 0), _REPEAT_SMOOTH), 1e-3)
     detail = (grey - cv2.GaussianBlur(grey, (0, 0), _REPEAT_SMOOTH) / weight) * mask
-    rows, columns = (cv2.getOptimalDFTSize(2 * n) for n in detail.shape)
-
-    def autocorrelation(image: Float) -> Float:
-        spectrum = np.fft.rfft2(image, s=(rows, columns))
-        return np.asarray(np.fft.irfft2(np.abs(spectrum) ** 2, s=(rows, columns)))
-
-    common, alike = autocorrelation(mask), autocorrelation(detail)
-    half = (rows + 1) // 2  # opposite shifts are alike
-    common, alike = common[:half], alike[:half]
+    common, alike = (_autocorrelation(a.astype(np.float32, copy=False)) for a in (mask, detail))
+    half, columns = common.shape
     energy = alike[0, 0] / max(common[0, 0], 1.0)
     alike = alike / np.maximum(common, 1.0) / max(energy, 1e-9)
     alike[common < _REPEAT_OVERLAP * common[0, 0]] = 0.0
@@ -80,6 +74,23 @@ def repetitions(view: View, geometry: TwoView) -> Float:
     best = np.argsort(-alike[v, u], kind="stable")[:_REPEATS]
     shift = np.column_stack([-dv[v[best], 0], -du[0, u[best]]])  # raster down is backwards
     return shift / grid.pixels_per_metre
+
+
+def _autocorrelation(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Sum up the products of an image and itself, shifted down and to either side.
+
+    Upper half of a periodic table: opposite shifts are alike. It is large enough for shifts of one
+    way not to meet those of the other.
+    """
+    rows, columns = image.shape
+    height, width = (cv2.getOptimalDFTSize(2 * n) for n in image.shape)
+    padded = np.zeros((height, width), np.float32)
+    padded[:rows, :columns] = image
+    spectrum = cv2.dft(padded, nonzeroRows=rows)
+    power = cv2.mulSpectrums(spectrum, spectrum, 0, conjB=True)
+    half = (height + 1) // 2
+    flags = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
+    return cv2.dft(power, flags=flags, nonzeroRows=half)[:half].astype(np.float32, copy=False)
 
 
 def shifted(geometry: TwoView, shift: Float) -> TwoView:
