@@ -32,6 +32,15 @@ def _sharpness(horizontal2: float, height: float) -> float:
 
 
 @kernel
+def _ground_at(ground_from_pixel: Float, u: int, v: int) -> tuple[float, float]:
+    """Ground point of a pixel, metres."""
+    g = ground_from_pixel
+    w = g[2, 0] * u + g[2, 1] * v + g[2, 2]
+    x = (g[0, 0] * u + g[0, 1] * v + g[0, 2]) / w
+    return x, (g[1, 0] * u + g[1, 1] * v + g[1, 2]) / w
+
+
+@kernel
 def _collect(
     x: float,
     y: float,
@@ -154,23 +163,11 @@ def _other_look(
 
 @kernel
 def ground_behind(
-    view: int,
-    others: NDArray[np.int64],
-    images: Bytes,
-    hidden: Bytes,
-    sizes: NDArray[np.int64],
-    pixel_from_ground: Float,
-    ground_from_pixel: Float,
-    ray_z: Float,
-    centres: Float,
-    colour_scale: float,
-    reach: float,
-    solid: NDArray[np.bool_],
-    colour: Single,
-    support: Single,
-    open_weight: Single,
-    total_weight: Single,
-) -> None:
+    view: int, others: NDArray[np.int64], images: Bytes, hidden: Bytes, sizes: NDArray[np.int64],
+    pixel_from_ground: Float, ground_from_pixel: Float, ray_z: Float, centres: Float,
+    colour_scale: float, reach: float, solid: NDArray[np.bool_],
+    colour: Single, support: Single, open_weight: Single, total_weight: Single,
+) -> None:  # fmt: skip
     """Fill the ground's colour behind every pixel of a view from the views `others`.
 
     Parameters
@@ -205,32 +202,19 @@ def ground_behind(
     n = len(others)
     colours, weights = np.zeros((3, n), np.float32), np.zeros(n, np.float32)
     votes, inverse_scale2 = np.zeros(n, np.float32), np.float32(1 / colour_scale**2)
-    g = ground_from_pixel
     for v in range(height):
         for u in range(width):
             support[v, u], open_weight[v, u], total_weight[v, u] = 0.0, 0.0, 0.0
             if ray_z[0] * u + ray_z[1] * v + ray_z[2] >= -1e-4:
                 continue
-            w = g[2, 0] * u + g[2, 1] * v + g[2, 2]
-            x = (g[0, 0] * u + g[0, 1] * v + g[0, 2]) / w
-            y = (g[1, 0] * u + g[1, 1] * v + g[1, 2]) / w
+            x, y = _ground_at(ground_from_pixel, u, v)
             away2 = (x - centres[view, 0]) ** 2 + (y - centres[view, 1]) ** 2
             if away2 > (reach * centres[view, 2]) ** 2:
                 continue
             m, total, opened = _collect(
-                x,
-                y,
-                images,
-                hidden,
-                sizes,
-                pixel_from_ground,
-                centres,
-                others,
-                _sharpness(away2, centres[view, 2]),
-                reach * reach,
-                colours,
-                weights,
-            )
+                x, y, images, hidden, sizes, pixel_from_ground, centres, others,
+                _sharpness(away2, centres[view, 2]), reach * reach, colours, weights,
+            )  # fmt: skip
             total_weight[v, u], open_weight[v, u] = total, opened
             if m:
                 agreed, mode = _mode(colours, weights, m, inverse_scale2, votes)

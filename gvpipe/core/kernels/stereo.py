@@ -110,6 +110,57 @@ def _varied(state: State, d: float, n: Triple, reach: float, scale: float) -> Pl
 
 
 @kernel
+def _sweep(
+    sweep: int, pictures: Single, area: int, stride: int, sizes: NDArray[np.int64],
+    sources: NDArray[np.int64], infinite: Float, shifts: Float, inverse: Float, up: Triple,
+    near: Single, far: Single, number: Index, values: Single, weights: Single, variance: Float,
+    state: State, changed: NDArray[np.int8], depth: Single, normal: Single, cost: Single,
+) -> None:  # fmt: skip
+    """Pass over the picture once, forwards or backwards: every pixel keeps its best plane."""
+    height, width = depth.shape
+    scale, step = 0.5**sweep, 1 if sweep % 2 == 1 else -1
+    for row in range(height):
+        v = row if step > 0 else height - 1 - row
+        for column in range(width):
+            u = column if step > 0 else width - 1 - column
+            p = number[v, u]
+            if p < 0:
+                continue
+            low, high, ray = near[v, u], far[v, u], _ray(inverse, u, v)
+            best, best_depth = WORST, 0.5 * (low + high)
+            tries = STARTS if u % 2 == 0 and v % 2 == 0 else 0
+            if sweep > 0:
+                best, best_depth, tries = cost[v, u], depth[v, u], TRIES + 2
+            for k in range(tries):
+                if sweep == 0:
+                    d, n = _started(k, state, low, high, up, ray)
+                elif k < 2:
+                    y, x = (v - step, u) if k == 0 else (v, u - step)
+                    if not (0 <= y < height and 0 <= x < width and number[y, x] >= 0):
+                        continue
+                    if sweep > 2 and changed[y, x] < sweep - 1:  # it was asked two sweeps ago
+                        continue
+                    d, n = _inherited(y, x, depth, normal, inverse, ray)
+                else:
+                    reach = 0.3 * scale * (high - low)
+                    d, n = _varied(state, best_depth, _normal(normal, v, u), reach, scale)
+                if not low <= d <= high:
+                    continue
+                n = _unit(n)
+                c = slanted_cost(
+                    pictures, area, stride, sizes, sources, infinite, shifts, inverse,
+                    u, v, d, ray, n, p, values, weights, variance[p], best,
+                )  # fmt: skip
+                if c < best:
+                    best, best_depth = c, d
+                    depth[v, u], cost[v, u], changed[v, u] = d, c, sweep
+                    normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = n
+            if sweep == 0 and best >= WORST:
+                depth[v, u], cost[v, u] = best_depth, WORST
+                normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = up
+
+
+@kernel
 def match_depths(
     view: int, sources: NDArray[np.int64], pictures: Single, sizes: NDArray[np.int64],
     infinite: Float, shifts: Float, inverse: Float, up: Float, near: Single, far: Single,
@@ -153,46 +204,10 @@ def match_depths(
     changed = np.zeros((height, width), np.int8)  # in which sweep, last
     state = np.full(1, 88172645463325252 + view, np.uint64)
     for sweep in range(sweeps + 1):
-        scale, step = 0.5**sweep, 1 if sweep % 2 == 1 else -1
-        for row in range(height):
-            v = row if step > 0 else height - 1 - row
-            for column in range(width):
-                u = column if step > 0 else width - 1 - column
-                p = number[v, u]
-                if p < 0:
-                    continue
-                low, high, ray = near[v, u], far[v, u], _ray(inverse, u, v)
-                best, best_depth = WORST, 0.5 * (low + high)
-                tries = STARTS if u % 2 == 0 and v % 2 == 0 else 0
-                if sweep > 0:
-                    best, best_depth, tries = cost[v, u], depth[v, u], TRIES + 2
-                for k in range(tries):
-                    if sweep == 0:
-                        d, n = _started(k, state, low, high, upright, ray)
-                    elif k < 2:
-                        y, x = (v - step, u) if k == 0 else (v, u - step)
-                        if not (0 <= y < height and 0 <= x < width and number[y, x] >= 0):
-                            continue
-                        if sweep > 2 and changed[y, x] < sweep - 1:  # it was asked two sweeps ago
-                            continue
-                        d, n = _inherited(y, x, depth, normal, inverse, ray)
-                    else:
-                        reach = 0.3 * scale * (high - low)
-                        d, n = _varied(state, best_depth, _normal(normal, v, u), reach, scale)
-                    if not low <= d <= high:
-                        continue
-                    n = _unit(n)
-                    c = slanted_cost(
-                        flat, area, stride, sizes, sources, infinite, shifts, inverse,
-                        u, v, d, ray, n, p, values, weights, variance[p], best,
-                    )  # fmt: skip
-                    if c < best:
-                        best, best_depth = c, d
-                        depth[v, u], cost[v, u], changed[v, u] = d, c, sweep
-                        normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = n
-                if sweep == 0 and best >= WORST:
-                    depth[v, u], cost[v, u] = best_depth, WORST
-                    normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = upright
+        _sweep(
+            sweep, flat, area, stride, sizes, sources, infinite, shifts, inverse, upright, near,
+            far, number, values, weights, variance, state, changed, depth, normal, cost,
+        )  # fmt: skip
     _doubt(
         flat, area, stride, sizes, sources, infinite, shifts, inverse, number, values, weights,
         variance, depth, normal, cost,

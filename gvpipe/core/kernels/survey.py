@@ -1,6 +1,6 @@
 """Coarse cells of the ground: their colour in every view, and the vote on which views see it.
 
-Arrays of a tile are (h, w, n): cells by views; a view that does not see a cell has share 0 there.
+Arrays of a tile are (h, w, n): cells by views; a view that does not see a cell has radius -1 there.
 """
 
 import numpy as np
@@ -138,6 +138,21 @@ def likeness(
 
 
 @kernel
+def _crowd(k: int, alone: Single, bearing_x: Single, bearing_y: Single) -> np.float32:
+    """Weight of all views from the direction of view k: cos^16 of the angle between counts."""
+    crowd = np.float32(0.0)
+    for m in range(len(alone)):
+        if alone[m] > 0:
+            c = bearing_x[k] * bearing_x[m] + bearing_y[k] * bearing_y[m]
+            if c > 0:
+                c *= c
+                c *= c
+                c *= c
+                crowd += c * c * alone[m]
+    return crowd
+
+
+@kernel
 def vote(
     colours: Single,
     slopes: Single,
@@ -182,16 +197,7 @@ def vote(
             for k in range(n):
                 if alone[k] <= 0:
                     continue
-                crowd = np.float32(0.0)
-                for m in range(n):
-                    if alone[m] > 0:
-                        c = bearing_x[k] * bearing_x[m] + bearing_y[k] * bearing_y[m]
-                        if c > 0:
-                            c *= c
-                            c *= c
-                            c *= c
-                            crowd += c * c * alone[m]
-                weights[v, u, k] = alone[k] / crowd
+                weights[v, u, k] = alone[k] / _crowd(k, alone, bearing_x, bearing_y)
             for k in range(n):
                 if alone[k] <= 0:
                     continue
