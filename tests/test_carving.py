@@ -6,13 +6,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gvpipe.core.geometry.pose import planar_pose
-from gvpipe.core.reconstruct.carving import (
-    Mask,
-    level_set_of,
-    space_carving,
-    visual_hull,
-    voxel_coloring,
-)
+from gvpipe.core.reconstruct.carving import level_set_of, space_carving, visual_hull, voxel_coloring
+from gvpipe.core.reconstruct.evidence_options import Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.types import Camera, Mount, PosedView
 
@@ -28,7 +23,7 @@ def texture(points: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def ball_view(azimuth: float, tilt: float = 0.75) -> tuple[PosedView, Mask]:
+def ball_view(azimuth: float, tilt: float = 0.75) -> tuple[PosedView, Silhouette]:
     """Picture and silhouette of the ball on a textured ground, seen from one side."""
     mount = Mount(tilt=tilt, roll=0.0, height=0.7)
     reach = (0.7 - CENTRE[2]) / np.tan(tilt)
@@ -49,7 +44,7 @@ def ball_view(azimuth: float, tilt: float = 0.75) -> tuple[PosedView, Mask]:
 
 
 @pytest.fixture(scope="module")
-def scene() -> tuple[list[PosedView], list[Mask]]:
+def scene() -> tuple[list[PosedView], list[Silhouette]]:
     shots = [ball_view(k * 2 * np.pi / 7) for k in range(7)]
     return [v for v, _ in shots], [m for _, m in shots]
 
@@ -58,7 +53,9 @@ GRID = VoxelGrid.over(np.array([-0.2, -0.2, 0.0]), np.array([0.2, 0.2, 0.35]), (
 BALL = np.linalg.norm(GRID.centres() - CENTRE, axis=-1) < RADIUS
 
 
-def carve_one_by_one(views: list[PosedView], masks: list[Mask], least: int) -> NDArray[np.bool_]:
+def carve_one_by_one(
+    views: list[PosedView], masks: list[Silhouette], least: int
+) -> NDArray[np.bool_]:
     """Visual hull by its definition: every voxel centre in every mask."""
     centres = GRID.centres().reshape(-1, 3)
     background, seen = np.zeros(len(centres), dtype=bool), np.zeros(len(centres), dtype=int)
@@ -76,7 +73,7 @@ def carve_one_by_one(views: list[PosedView], masks: list[Mask], least: int) -> N
 
 @pytest.mark.parametrize("least", [1, 2, 5])
 def test_the_octree_equals_voxel_by_voxel_carving(
-    scene: tuple[list[PosedView], list[Mask]], least: int
+    scene: tuple[list[PosedView], list[Silhouette]], least: int
 ) -> None:
     views, masks = scene
     rng = np.random.default_rng(3)
@@ -92,7 +89,7 @@ def test_the_octree_equals_voxel_by_voxel_carving(
 
 
 def test_the_hull_holds_the_ball_and_little_more(
-    scene: tuple[list[PosedView], list[Mask]],
+    scene: tuple[list[PosedView], list[Silhouette]],
 ) -> None:
     hull = visual_hull(*scene, GRID)
     assert (hull & BALL).sum() > 0.97 * BALL.sum()
@@ -112,7 +109,9 @@ def test_colours_carve_what_silhouettes_leave(scene, carve) -> None:  # type: ig
     assert (carved & outside).sum() < 0.6 * (hull & outside).sum()
 
 
-def test_one_colour_everywhere_leaves_the_hull(scene: tuple[list[PosedView], list[Mask]]) -> None:
+def test_one_colour_everywhere_leaves_the_hull(
+    scene: tuple[list[PosedView], list[Silhouette]],
+) -> None:
     views, masks = scene
     plain = [
         PosedView(v.image_id, np.full_like(v.pixels, 90), v.camera, v.map_from_camera)
@@ -123,7 +122,7 @@ def test_one_colour_everywhere_leaves_the_hull(scene: tuple[list[PosedView], lis
     assert (space_carving(plain, masks, GRID) == hull).all()
 
 
-def test_masks_have_to_fit_their_views(scene: tuple[list[PosedView], list[Mask]]) -> None:
+def test_masks_have_to_fit_their_views(scene: tuple[list[PosedView], list[Silhouette]]) -> None:
     views, masks = scene
     with pytest.raises(ValueError, match="masks for"):
         visual_hull(views, masks[1:], GRID)

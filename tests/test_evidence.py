@@ -10,19 +10,14 @@ import pytest
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.kernels.segmentation import cut
-from gvpipe.core.reconstruct.background import (
-    GroundModel,
-    GroundWitnesses,
-    reduced,
-    rendered_background,
-)
+from gvpipe.core.reconstruct.background import GroundModel, GroundWitnesses, rendered_background
 from gvpipe.core.reconstruct.evidence import data_terms, find_regions, hull_probability
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions
 from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.hiding import bodies_seen, hidden_ground
 from gvpipe.core.reconstruct.hull import (
-    Solid,
+    VoxelSolid,
     down_to_ground,
     entry_depth,
     log_support,
@@ -204,7 +199,7 @@ def test_area_weights_are_low_where_colours_agree(views, shapes):
 def test_ground_behind_an_obstacle_is_seen_by_the_others(views, scene):
     bare = Scene(scene.ground, extent=scene.extent)
     witnesses = GroundWitnesses(
-        [reduced(v, p, 1) for v, p in zip(views, levelled(views), strict=True)]
+        [replace(v, pixels=p) for v, p in zip(views, levelled(views), strict=True)]
     )
     masks = [true_mask(v.map_from_camera) for v in views]
     hidden = [m.astype(np.uint8) * 255 for m in masks]
@@ -425,7 +420,7 @@ def test_rendered_voxels_cover_the_true_outline():
     assert iou(render_mask(inside, grid, view) > 0, true_mask(pose)) > 0.9
 
 
-def box_grid(grow: float = 0.0, rise: float = 0.0) -> Solid:
+def box_grid(grow: float = 0.0, rise: float = 0.0) -> VoxelSolid:
     """Voxels of the box, widened and heightened: what a fat hull would be."""
     grid = VoxelGrid.over(np.array([-0.3, -0.3, 0.0]), np.array([0.3, 0.3, 0.4]), (120, 120, 80))
     centres = grid.centres()
@@ -433,7 +428,7 @@ def box_grid(grow: float = 0.0, rise: float = 0.0) -> Solid:
         np.array(LOW) - np.array([grow, grow, 1.0]),
         np.array(HIGH) + np.array([grow, grow, rise]),
     )
-    return Solid(((centres >= low) & (centres <= high)).all(-1), grid)
+    return VoxelSolid(((centres >= low) & (centres <= high)).all(-1), grid)
 
 
 def true_depth(pose: Pose) -> np.ndarray:

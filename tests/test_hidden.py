@@ -3,14 +3,14 @@
 import numpy as np
 
 from gvpipe.core.geometry.pose import planar_pose
-from gvpipe.core.mosaic.hidden import Solid, with_obstacles
+from gvpipe.core.mosaic.hidden import Prism, with_obstacles
 from gvpipe.core.mosaic.occupancy import FREE, OCCUPIED, UNKNOWN
 from gvpipe.core.mosaic.raster import MosaicRaster, Picture
 from gvpipe.core.types import Camera, Mount
 
 CAMERA = Camera(200, 150, 170.0, 165.0, 98.0, 76.0)
 RASTER = MosaicRaster(301, 201, 0.01, 0.0, 1.0)  # x 0 to 3, y -1 to 1
-BOX = Solid(np.array([[1.0, -0.1], [1.2, -0.1], [1.2, 0.1], [1.0, 0.1]]), 0.35)
+BOX = Prism(np.array([[1.0, -0.1], [1.2, -0.1], [1.2, 0.1], [1.0, 0.1]]), 0.35)
 
 
 def camera(x: float, y: float, yaw_deg: float) -> Picture:
@@ -40,7 +40,7 @@ def test_ground_behind_an_obstacle_is_unknown_until_another_camera_sees_it():
 def test_unknown_ground_stays_unknown_and_a_high_obstacle_hides_all_behind_it():
     cells = np.full((201, 301), UNKNOWN, np.int8)
     cells[:, 150:] = FREE
-    tall = Solid(BOX.footprint, 5.0)
+    tall = Prism(BOX.footprint, 5.0)
     found = with_obstacles(cells, [tall], [camera(0.2, 0.0, 0)], RASTER)
     assert state(found, 0.5, 0.0) == UNKNOWN
     assert state(found, 2.9, 0.0) == UNKNOWN

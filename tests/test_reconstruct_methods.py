@@ -21,7 +21,7 @@ from gvpipe.core.reconstruct.history import (
 )
 from gvpipe.core.reconstruct.mesh import find_obstacles, surface
 from gvpipe.formats.figures import layer_picture, sheet
-from gvpipe.stages.reconstruct_files import Scene, Volume, write_scene
+from gvpipe.stages.reconstruct_files import Scene, SolvedRegion, write_scene
 from gvpipe.stages.reconstruct_methods import METHODS
 from tests.test_carving import CENTRE, GRID, RADIUS, ball_view
 
@@ -35,7 +35,7 @@ def scene_of(settings: ReconstructConfig) -> Scene:
     floor = np.full((100, 100, 4), 200, np.uint8)
     ground = GroundModel(floor, np.array([[0.02, 0, -1.0], [0, -0.02, 1.0], [0, 0, 1]]))
     found = find_obstacles(solution.u, GRID)
-    return Scene((Volume(GRID, solution),), tuple(found), tuple(VIEWS), ground)
+    return Scene((SolvedRegion(GRID, solution),), tuple(found), tuple(VIEWS), ground)
 
 
 def test_every_configured_method_is_there() -> None:
@@ -73,7 +73,7 @@ def test_a_region_in_which_nothing_stands_can_be_written(tmp_path: Path) -> None
     )
     floor = GroundModel(np.full((10, 10, 4), 200, np.uint8), np.eye(3))
     assert find_obstacles(solution.u, GRID) == []
-    write_scene(Scene((Volume(GRID, solution),), (), tuple(VIEWS), floor), tmp_path)
+    write_scene(Scene((SolvedRegion(GRID, solution),), (), tuple(VIEWS), floor), tmp_path)
     write_scene(Scene((), (), tuple(VIEWS), floor), tmp_path)
     assert len(trimesh.load(tmp_path / "obstacles.glb").geometry) == 0
 

@@ -1,4 +1,4 @@
-"""The obstacles in 3D, from silhouettes against the mosaic and from consistent colours."""
+"""The obstacles in 3D, from silhouettes against the ground and from consistent colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,16 +10,17 @@ from gvpipe.config import Config
 from gvpipe.core.reconstruct.agreement import ONE_SIDE_DEG, agreement
 from gvpipe.core.reconstruct.background import GroundModel
 from gvpipe.core.reconstruct.evidence import find_regions
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.mesh import Obstacle, find_obstacles
-from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette, count_steps, silhouettes
+from gvpipe.core.reconstruct.silhouette import count_steps, silhouettes
 from gvpipe.core.reconstruct.solution import Solution
 from gvpipe.core.types import PosedView
 from gvpipe.errors import InputError
 from gvpipe.formats.raster import read_png
 from gvpipe.records import Body, MosaicBody, ObstacleRow, ReconstructBody, SlamBody
 from gvpipe.stages.contract import Context, Outcome, posed_views, shortened
-from gvpipe.stages.reconstruct_files import Scene, Volume, write_scene
+from gvpipe.stages.reconstruct_files import Scene, SolvedRegion, write_scene
 from gvpipe.stages.reconstruct_map import RosMap, map_with_obstacles, read_map, write_ros_map
 from gvpipe.stages.reconstruct_methods import METHODS, grid_over
 
@@ -50,16 +51,16 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     with context.progress("silhouettes", count_steps(views, options)) as ticker:
         shapes = silhouettes(views, ground, options, context.jobs, ticker.advance)
     regions = find_regions(views, shapes, options, context.jobs)
-    volumes = []
+    solved = []
     with context.progress("reconstruct", len(regions)) as ticker:
         for region in regions:
             grid = grid_over(region, views, settings.grid)
-            volumes.append(Volume(grid, _solution(context, grid, views, shapes)))
+            solved.append(SolvedRegion(grid, _solution(context, grid, views, shapes)))
             ticker.advance()
-    found = [o for v in volumes for o in find_obstacles(v.solution.u, v.grid)]
+    found = [o for s in solved for o in find_obstacles(s.solution.u, s.grid)]
     found.sort(key=lambda obstacle: -obstacle.volume_m3)
     rows = _rows(found, views, shapes)
-    solutions = [v.solution for v in volumes]
+    solutions = [s.solution for s in solved]
     body = ReconstructBody(
         method=settings.method,
         obstacles=rows,
@@ -80,7 +81,7 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
     return Outcome(
         body,
         Reconstruction(
-            Scene(tuple(volumes), tuple(found), tuple(views), ground),
+            Scene(tuple(solved), tuple(found), tuple(views), ground),
             map_with_obstacles(bare, rows, views),
         ),
         no_result=None if rows else "nothing stands on the ground that enough views see",

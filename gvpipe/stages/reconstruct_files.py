@@ -37,7 +37,7 @@ LAYER_SIDE = 400
 
 
 @dataclass(frozen=True)
-class Volume:
+class SolvedRegion:
     """What was found in one region."""
 
     grid: VoxelGrid
@@ -48,7 +48,7 @@ class Volume:
 class Scene:
     """All regions, what stands in them, and what it was seen by."""
 
-    volumes: tuple[Volume, ...]
+    regions: tuple[SolvedRegion, ...]
     obstacles: tuple[Obstacle, ...]
     views: tuple[PosedView, ...]
     ground: GroundModel
@@ -60,13 +60,13 @@ def write_scene(scene: Scene, folder: Path) -> None:
     write_mesh(folder / "obstacles.ply", mesh)
     write_glb(folder / "obstacles.glb", mesh)
     write_points(folder / "points.ply", surface_points(mesh) if len(mesh.faces) else _no_points())
-    write_npz(folder / "volume.npz", _arrays(scene.volumes))
+    write_npz(folder / "volume.npz", _arrays(scene.regions))
     if len(mesh.faces):
         pictures = turntable(mesh, scene.ground, TURNTABLE_VIEWS)
         pair = len(pictures) // 2
         rows = [np.hstack(pictures[:pair]), np.hstack(pictures[pair:])]
         (folder / "turntable.png").write_bytes(png_bytes(np.vstack(rows)))
-    evolved = [v for v in scene.volumes if len(v.solution.frames)]
+    evolved = [r for r in scene.regions if len(r.solution.frames)]
     if evolved:
         page = _evolution_page(evolved, mesh, scene.ground)
         (folder / "evolution.png").write_bytes(png_bytes(page))
@@ -78,24 +78,24 @@ def _no_points() -> PointCloud:
     return PointCloud(nothing, nothing, nothing.astype(np.uint8))
 
 
-def _arrays(volumes: Sequence[Volume]) -> dict[str, NDArray[Any]]:
+def _arrays(regions: Sequence[SolvedRegion]) -> dict[str, NDArray[Any]]:
     """Name the arrays of all regions: the first has plain names."""
-    if not volumes:
+    if not regions:
         empty = np.zeros((0, 0, 0), np.float32)
         return {"u": empty, "origin": np.zeros(3), "spacing": np.ones(3)}
     arrays: dict[str, NDArray[Any]] = {}
-    for k, volume in enumerate(volumes):
+    for k, region in enumerate(regions):
         end = f"_{k}" if k else ""
-        arrays[f"u{end}"] = volume.solution.u
-        arrays[f"origin{end}"] = volume.grid.origin
-        arrays[f"spacing{end}"] = volume.grid.spacing
+        arrays[f"u{end}"] = region.solution.u
+        arrays[f"origin{end}"] = region.grid.origin
+        arrays[f"spacing{end}"] = region.grid.spacing
     return arrays
 
 
-def _evolution_page(volumes: Sequence[Volume], last: Mesh, ground: GroundModel) -> Image:
+def _evolution_page(regions: Sequence[SolvedRegion], last: Mesh, ground: GroundModel) -> Image:
     """Picture the surfaces of all regions at some moments of their evolution."""
-    total = max(v.solution.iterations for v in volumes)
-    moments = [_moment(volumes, share * total) for share in MOMENTS[:-1]]
+    total = max(r.solution.iterations for r in regions)
+    moments = [_moment(regions, share * total) for share in MOMENTS[:-1]]
     start = moments[0][0].vertices
     bounds = (start.min(axis=0), start.max(axis=0))
     shown = [(mesh, f"iteration {step} of {total}" if step else "start") for mesh, step in moments]
@@ -104,19 +104,19 @@ def _evolution_page(volumes: Sequence[Volume], last: Mesh, ground: GroundModel) 
     return sheet(pictures, columns=2)
 
 
-def _moment(volumes: Sequence[Volume], wanted: float) -> tuple[Mesh, int]:
+def _moment(regions: Sequence[SolvedRegion], wanted: float) -> tuple[Mesh, int]:
     """Give the surface of all regions near an iteration, and which one that is."""
     meshes, steps = [], []
-    for grid, solution in ((v.grid, v.solution) for v in volumes):
+    for grid, solution in ((r.grid, r.solution) for r in regions):
         k = nearest_frame(solution.frame_iterations, wanted)
         meshes.append(surface(*restored(solution.frames[k], grid)))
         steps.append(solution.frame_iterations[k])
     return join(meshes), max(steps)
 
 
-def _terms_page(volume: Volume) -> Image:
+def _terms_page(region: SolvedRegion) -> Image:
     """Picture the energy's weights in a layer, and how the surface's outline moved there."""
-    solution, grid = volume.solution, volume.grid
+    solution, grid = region.solution, region.grid
     height = float(grid.origin[2] + solution.layer * grid.spacing[2])
     end = solution.u[:, :, solution.layer]
     f, (f_low, f_high) = layer_picture(solution.f, [end], LAYER_SIDE, signed=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.artefacts import Artefact
-from gvpipe.core.mosaic.hidden import Solid, with_obstacles
+from gvpipe.core.mosaic.hidden import Prism, with_obstacles
 from gvpipe.core.mosaic.raster import MosaicRaster, Posed
 from gvpipe.errors import InputError
 from gvpipe.formats.occupancy import pgm_bytes, read_pgm, yaml_text
@@ -65,8 +65,8 @@ def map_with_obstacles(
     map : RosMap
         Occupied under the obstacles, unknown where only their sides were seen.
     """
-    solids = [Solid(row.footprint, row.height_m) for row in obstacles]
-    return RosMap(with_obstacles(bare.cells, solids, views, bare.raster), bare.raster)
+    prisms = [Prism(row.footprint, row.height_m) for row in obstacles]
+    return RosMap(with_obstacles(bare.cells, prisms, views, bare.raster), bare.raster)
 
 
 def write_ros_map(ros_map: RosMap, folder: Path) -> None:

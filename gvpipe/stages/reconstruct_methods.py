@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from gvpipe.config import ReconstructConfig
 from gvpipe.core.reconstruct.carving import level_set_of, space_carving, visual_hull, voxel_coloring
-from gvpipe.core.reconstruct.evidence import Region, data_terms
+from gvpipe.core.reconstruct.evidence import data_terms
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.history import Recorder, middle_layer
+from gvpipe.core.reconstruct.hull import Region
 from gvpipe.core.reconstruct.levelset import evolve
-from gvpipe.core.reconstruct.silhouette import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.solution import Solution
 from gvpipe.core.types import PosedView
 

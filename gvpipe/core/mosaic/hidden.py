@@ -17,7 +17,7 @@ has no end, and one 20 times the obstacle's distance long leaves every picture."
 
 
 @dataclass(frozen=True)
-class Solid:
+class Prism:
     """An obstacle as an upright prism.
 
     Attributes
@@ -34,7 +34,7 @@ class Solid:
 
 def with_obstacles(
     cells: NDArray[np.int8],
-    solids: Sequence[Solid],
+    prisms: Sequence[Prism],
     views: Sequence[Posed],
     raster: MosaicRaster,
 ) -> NDArray[np.int8]:
@@ -44,7 +44,7 @@ def with_obstacles(
     ----------
     cells : (H, W) int8
         Cell states.
-    solids : sequence of Solid
+    prisms : sequence of Prism
         Obstacles.
     views : sequence of Posed
         All cameras of the map.
@@ -61,16 +61,16 @@ def with_obstacles(
     for view in views:
         ground = outline(view, raster.resolution)
         if len(ground):
-            visible |= _sight(view, ground, solids, cells.shape, raster)
+            visible |= _sight(view, ground, prisms, cells.shape, raster)
     hidden = (cells == FREE) & (visible == 0)
     known = np.where(hidden, UNKNOWN, cells).astype(np.int8)
-    return draw_footprints(known, [s.footprint for s in solids], raster.map_from_pixel)
+    return draw_footprints(known, [p.footprint for p in prisms], raster.map_from_pixel)
 
 
 def _sight(
     view: Posed,
     ground: Float,
-    solids: Sequence[Solid],
+    prisms: Sequence[Prism],
     shape: tuple[int, ...],
     raster: MosaicRaster,
 ) -> NDArray[np.uint8]:
@@ -78,10 +78,10 @@ def _sight(
     seen = np.zeros(shape, np.uint8)
     cv2.fillPoly(seen, [_pixels(ground, raster)], 1)
     centre = view.map_from_camera.translation
-    for solid in solids:
-        height = min(solid.height_m, MAX_HEIGHT_SHARE * centre[2])
-        top = centre[:2] + (solid.footprint - centre[:2]) * (centre[2] / (centre[2] - height))
-        corners = np.concatenate([solid.footprint, top])
+    for prism in prisms:
+        height = min(prism.height_m, MAX_HEIGHT_SHARE * centre[2])
+        top = centre[:2] + (prism.footprint - centre[:2]) * (centre[2] / (centre[2] - height))
+        corners = np.concatenate([prism.footprint, top])
         cv2.fillConvexPoly(seen, cv2.convexHull(_pixels(corners, raster)), 0)
     return seen
 

@@ -1,7 +1,7 @@
 """What the bare ground would look like in a view: the background the obstacles stand out from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -9,17 +9,14 @@ from numpy.typing import NDArray
 
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.kernels.background import ground_behind
-from gvpipe.core.types import Float, Image, PosedView
+from gvpipe.core.reconstruct.views import below_horizon, upward_rays
+from gvpipe.core.types import Float, PosedView
 
 REACH = 6.0
 """Ground farther from a camera than this many of its heights shows no detail: not compared."""
 
-REDUCED_WIDTH = 400
-"""Pixels: what needs no detail works on pictures reduced to about this width."""
-
 MOST_OTHERS = 24
 """Views asked for the background of one: the nearest; the cost grows with their square."""
-
 
 Mask = NDArray[np.uint8]
 """(H, W) uint8: 255 where it holds, 0 where not."""
@@ -76,17 +73,8 @@ def rendered_background(view: PosedView, ground: GroundModel) -> Background:
     return Background(rendered[..., :3].astype(np.float32), known)
 
 
-def below_horizon(view: PosedView) -> NDArray[np.bool_]:
-    """Which pixels' rays meet the ground, (H, W) bool."""
-    height, width = view.pixels.shape[:2]
-    ray_z = upward_rays(view)
-    u, v = np.arange(width)[None, :], np.arange(height)[:, None]
-    below: NDArray[np.bool_] = ray_z[0] * u + ray_z[1] * v + ray_z[2] < 0
-    return below
-
-
 @dataclass(frozen=True)
-class SeenGround:
+class GroundBehind:
     """The ground behind every pixel of one view as the other views show it.
 
     Attributes
@@ -146,7 +134,7 @@ class GroundWitnesses:
             for into, mask in ((self.hidden, hidden[k]), (self.solid, solid[k])):
                 into[k, :h, :w] = cv2.resize(mask, (w, h), interpolation=cv2.INTER_LINEAR)
 
-    def behind(self, index: int, colour_scale: float) -> SeenGround:
+    def behind(self, index: int, colour_scale: float) -> GroundBehind:
         """Ask the other views for the ground behind one; colours closer than the scale agree."""
         view = self.views[index]
         shape = view.pixels.shape[:2]
@@ -161,7 +149,7 @@ class GroundWitnesses:
             self._sizes,
             self._pixel_from_ground,
             np.ascontiguousarray(np.linalg.inv(self._pixel_from_ground[index])),
-            upward_rays(view),
+            upward_rays(view.camera, view.map_from_camera),
             self._centres,
             colour_scale,
             REACH,
@@ -171,7 +159,7 @@ class GroundWitnesses:
             opened,
             total,
         )
-        return SeenGround(colour, support, opened, total, solid)
+        return GroundBehind(colour, support, opened, total, solid)
 
     def _others(self, index: int) -> NDArray[np.int64]:
         """Return the views whose pictures centre on ground nearest to where this one does."""
@@ -189,37 +177,3 @@ def _aim(view: PosedView) -> Float:
     ahead = min(reach, centre[2] * level / -axis[2]) if axis[2] < 0 else reach
     point: Float = centre[:2] + ahead * axis[:2] / max(level, 1e-9)
     return point
-
-
-def upward_rays(view: PosedView) -> Float:
-    """(3,) numbers whose product with (u, v, 1) is the upward component of a pixel's ray."""
-    return np.asarray(view.map_from_camera.rotation[2] @ view.camera.inverse)
-
-
-def reduction(view: PosedView) -> int:
-    """Whole factor that makes a view small enough for work without detail."""
-    return max(1, round(view.camera.width / REDUCED_WIDTH))
-
-
-def reduced(view: PosedView, pixels: Image, factor: int) -> PosedView:
-    """Return the view with other pixels of the same size, made smaller by a whole factor."""
-    if factor == 1:
-        return replace(view, pixels=pixels)
-    camera = view.camera
-    width, height = camera.width // factor, camera.height // factor
-    small = cv2.resize(
-        pixels[: height * factor, : width * factor],
-        (width, height),
-        interpolation=cv2.INTER_AREA,
-    )
-    smaller = replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=(camera.cx + 0.5) / factor - 0.5,
-        cy=(camera.cy + 0.5) / factor - 0.5,
-        skew=camera.skew / factor,
-    )
-    return replace(view, pixels=small.astype(np.uint8), camera=smaller)

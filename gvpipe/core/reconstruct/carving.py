@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from gvpipe.core.kernels.carving import carve_silhouettes, sweep_colours
+from gvpipe.core.reconstruct.evidence_options import Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.hull import pixel_from_map
 from gvpipe.core.types import Float, PosedView
 
 FOREGROUND = 0.5
@@ -34,16 +36,13 @@ MOST_ROUNDS = 4
 SMOOTHING = 0.8
 """Standard deviation of the blur that turns occupancy into a smooth surface, voxels."""
 
-Mask = NDArray[np.float32]
-"""(H, W) float32: how surely a pixel shows an obstacle, in [0, 1]; NaN or negative = unknown."""
-
 Occupancy = NDArray[np.bool_]
 """(nx, ny, nz) bool."""
 
 
 def visual_hull(
     views: Sequence[PosedView],
-    masks: Sequence[Mask],
+    masks: Sequence[Silhouette],
     grid: VoxelGrid,
     *,
     least_views: int = LEAST_VIEWS,
@@ -79,7 +78,7 @@ def visual_hull(
 
 def voxel_coloring(
     views: Sequence[PosedView],
-    masks: Sequence[Mask],
+    masks: Sequence[Silhouette],
     grid: VoxelGrid,
     *,
     least_views: int = LEAST_VIEWS,
@@ -112,7 +111,7 @@ def voxel_coloring(
 
 def space_carving(
     views: Sequence[PosedView],
-    masks: Sequence[Mask],
+    masks: Sequence[Silhouette],
     grid: VoxelGrid,
     *,
     least_views: int = LEAST_VIEWS,
@@ -165,7 +164,7 @@ class _Stack:
     foreground: NDArray[np.bool_]
 
 
-def _stack(views: Sequence[PosedView], masks: Sequence[Mask]) -> _Stack:
+def _stack(views: Sequence[PosedView], masks: Sequence[Silhouette]) -> _Stack:
     if len(views) != len(masks) or not views:
         raise ValueError(f"{len(masks)} masks for {len(views)} views")
     for view, mask in zip(views, masks, strict=True):
@@ -190,19 +189,18 @@ def _pixel_from_index(views: Sequence[PosedView], grid: VoxelGrid) -> Float:
     map_from_index = np.eye(4)
     map_from_index[:3, :3] = np.diag(grid.spacing)
     map_from_index[:3, 3] = grid.origin
-    matrices = []
-    for view in views:
-        camera_from_map = view.map_from_camera.inverse()
-        outside = np.column_stack([camera_from_map.rotation, camera_from_map.translation])
-        matrices.append(view.camera.matrix @ outside @ map_from_index)
-    return np.stack(matrices)
+    return np.stack([pixel_from_map(view) @ map_from_index for view in views])
 
 
 class _Sweeper:
     """Pictures and projections in the form the sweeping kernel wants."""
 
     def __init__(
-        self, views: Sequence[PosedView], masks: Sequence[Mask], grid: VoxelGrid, deviation: float
+        self,
+        views: Sequence[PosedView],
+        masks: Sequence[Silhouette],
+        grid: VoxelGrid,
+        deviation: float,
     ) -> None:
         self._usable = _stack(views, masks).foreground
         self._images = np.zeros((*self._usable.shape, 3), dtype=np.uint8)

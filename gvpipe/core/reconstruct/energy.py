@@ -7,10 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.resample import energy_slab
+from gvpipe.core.reconstruct.grid import Volume
 from gvpipe.core.reconstruct.slabs import Slabs
-
-Volume = NDArray[np.float32]
-"""(nx, ny, nz) float32."""
 
 
 @dataclass(frozen=True)

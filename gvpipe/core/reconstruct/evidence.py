@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gvpipe.core.kernels.evidence import photo_consistency, sample_colours
 from gvpipe.core.kernels.fusion import fuse_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
-from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.grid import Volume, VoxelGrid
 from gvpipe.core.reconstruct.hull import (
     Region,
     entry_depth,
@@ -19,10 +19,9 @@ from gvpipe.core.reconstruct.hull import (
     tolerant_hull,
 )
 from gvpipe.core.reconstruct.slabs import Slabs, thin_slabs
-from gvpipe.core.reconstruct.stereo import DepthMap, depth_maps, work_view
+from gvpipe.core.reconstruct.stereo import DepthMap, depth_maps
+from gvpipe.core.reconstruct.views import reduced
 from gvpipe.core.types import Float, Image, PosedView
-
-__all__ = ["Region", "data_terms", "find_regions", "hull_probability", "pixel_from_map"]
 
 REGION_TOLERANCE = 0.05
 """Share of the views that may contradict a point where obstacles are looked for."""
@@ -39,9 +38,6 @@ of depths at arm's length."""
 
 MARGIN = 3
 """Coarse voxels between an obstacle and the border of its region."""
-
-Volume = NDArray[np.float32]
-"""(nx, ny, nz) float32 values at the voxel centres."""
 
 
 def hull_probability(
@@ -172,7 +168,7 @@ def _depths(
     slabs: Slabs,
 ) -> list[DepthMap]:
     """Match the views' texture behind the hull, where no other obstacle hides it."""
-    small = [work_view(v) for v in views]
+    small = [reduced(v) for v in views]
     coarse = search_grid(views)
     others = tolerant_hull(views, silhouettes, coarse, options, REGION_TOLERANCE, jobs=slabs.jobs)
     low, high = (coarse.index_from_map(corner) for corner in (grid.lower, grid.upper))

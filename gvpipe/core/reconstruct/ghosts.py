@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gvpipe.core.reconstruct.background import reduced, reduction
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.hull import render_mask, search_grid, tolerant_hull
+from gvpipe.core.reconstruct.views import reduced
 from gvpipe.core.types import PosedView
 
 TOLERANCE = 0.05
@@ -55,7 +55,7 @@ def without_ghosts(
     grid = search_grid(views)
     inside = tolerant_hull(views, shapes, grid, options, TOLERANCE, jobs=threads)
     labels, count = ndimage.label(inside)
-    small = [reduced(v, v.pixels, reduction(v)) for v in views]
+    small = [reduced(v) for v in views]
     likely = [_sampled(s > 0.5, v) for s, v in zip(shapes, small, strict=True)]
     bodies = [[render_mask(labels == k, grid, v) > 0 for v in small] for k in range(1, count + 1)]
     agreed = [[m & s for m, s in zip(masks, likely, strict=True)] for masks in bodies]

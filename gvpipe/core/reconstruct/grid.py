@@ -3,8 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gvpipe.core.types import Float
+
+Volume = NDArray[np.float32]
+"""(nx, ny, nz) float32 values at the voxel centres."""
 
 
 @dataclass(frozen=True)

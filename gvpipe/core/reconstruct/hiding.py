@@ -11,7 +11,7 @@ from gvpipe.core.reconstruct.background import Mask
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.hull import (
-    Solid,
+    VoxelSolid,
     down_to_ground,
     region_grid,
     regions_of,
@@ -44,7 +44,7 @@ def tolerant_solids(
     options: EvidenceOptions,
     tolerance: float,
     threads: int = 1,
-) -> list[Solid]:
+) -> list[VoxelSolid]:
     """Tolerant hulls of the silhouettes, one for each region they stand in.
 
     Parameters
@@ -60,7 +60,7 @@ def tolerant_solids(
 
     Returns
     -------
-    solids : list of Solid
+    solids : list of VoxelSolid
     """
     coarse = search_grid(views)
     height = float(np.median([v.map_from_camera.translation[2] for v in views]))
@@ -71,14 +71,14 @@ def tolerant_solids(
 
     for region in regions_of(hull(coarse), coarse, MARGIN):
         grid = region_grid(region, REGION_VOXELS, height / FINE_PER_HEIGHT)
-        solids.append(Solid(hull(grid), grid))
+        solids.append(VoxelSolid(hull(grid), grid))
     return solids
 
 
 def hidden_ground(
     views: Sequence[PosedView],
     shapes: Sequence[Silhouette],
-    solids: Sequence[Solid],
+    solids: Sequence[VoxelSolid],
     pool: ThreadPoolExecutor,
 ) -> list[Mask]:
     """Where obstacles hide the ground in each view: its silhouette and the tolerant hull's, grown.
@@ -88,7 +88,7 @@ def hidden_ground(
     views : sequence of PosedView
     shapes : sequence of (H, W) float32
         Silhouettes, NaN where unknown.
-    solids : sequence of Solid
+    solids : sequence of VoxelSolid
         What may stand, see :func:`tolerant_solids`.
     pool : ThreadPoolExecutor
         Works on the views.
@@ -98,7 +98,7 @@ def hidden_ground(
     hidden : list of (H, W) uint8
         255 where the ground is hidden, else 0.
     """
-    below = [Solid(down_to_ground(solid.inside), solid.grid) for solid in solids]
+    below = [VoxelSolid(down_to_ground(solid.inside), solid.grid) for solid in solids]
     around = np.ones((2 * GROWTH + 1,) * 2, np.uint8)
 
     def one(index: int) -> Mask:
@@ -110,14 +110,14 @@ def hidden_ground(
 
 
 def bodies_seen(
-    views: Sequence[PosedView], solids: Sequence[Solid], pool: ThreadPoolExecutor
+    views: Sequence[PosedView], solids: Sequence[VoxelSolid], pool: ThreadPoolExecutor
 ) -> list[Mask]:
     """Where each view shows a tolerant hull, less the edge of its outline.
 
     Parameters
     ----------
     views : sequence of PosedView
-    solids : sequence of Solid
+    solids : sequence of VoxelSolid
         What may stand, see :func:`tolerant_solids`.
     pool : ThreadPoolExecutor
         Works on the views.
@@ -135,7 +135,7 @@ def bodies_seen(
     return list(pool.map(one, views))
 
 
-def _rendered(solids: Sequence[Solid], view: PosedView) -> Mask:
+def _rendered(solids: Sequence[VoxelSolid], view: PosedView) -> Mask:
     """Where a view shows any of them."""
     mask = np.zeros(view.pixels.shape[:2], np.uint8)
     for solid in solids:

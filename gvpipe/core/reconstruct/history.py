@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.reconstruct.energy import Volume
-from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.grid import Volume, VoxelGrid
 from gvpipe.core.reconstruct.narrowband import BAND
 
 MOST_FRAMES = 32

@@ -10,11 +10,10 @@ from scipy import ndimage
 from gvpipe.core.kernels.evidence import add_view_evidence
 from gvpipe.core.kernels.raycast import cast_depth
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
-from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.grid import Volume, VoxelGrid
 from gvpipe.core.reconstruct.slabs import Slabs, thin_slabs
 from gvpipe.core.types import Float, PosedView
 
-Volume = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 """First voxel of a box and the first one beyond it, (3,) int64 each."""
@@ -56,7 +55,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Solid:
+class VoxelSolid:
     """Occupied voxels of a grid.
 
     Attributes

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.resample import double, halve, nucleate
-from gvpipe.core.reconstruct.energy import Energy, Volume, measure_padded, padded
+from gvpipe.core.reconstruct.energy import Energy, measure_padded, padded
+from gvpipe.core.reconstruct.grid import Volume
 from gvpipe.core.reconstruct.narrowband import COURANT, NarrowBand
 from gvpipe.core.reconstruct.slabs import Slabs
 

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import approximate_polygon, find_contours, marching_cubes
 
-from gvpipe.core.reconstruct.energy import Volume
-from gvpipe.core.reconstruct.grid import VoxelGrid
+from gvpipe.core.reconstruct.grid import Volume, VoxelGrid
 from gvpipe.core.types import Float, Image
 
 SMALLEST_OBSTACLE_M3 = 2e-6

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from gvpipe.core.kernels.distance import distance_slab, front_spans, settle
 from gvpipe.core.kernels.levelset import evolve_slab
-from gvpipe.core.reconstruct.energy import Volume, inverse_spacing
+from gvpipe.core.reconstruct.energy import inverse_spacing
+from gvpipe.core.reconstruct.grid import Volume
 from gvpipe.core.reconstruct.slabs import Slabs
 
 BAND = 5

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gvpipe.core.reconstruct.hull import Solid, down_to_ground, entry_depth
+from gvpipe.core.reconstruct.hull import VoxelSolid, down_to_ground, entry_depth
 from gvpipe.core.reconstruct.stereo import DepthMap, depth_maps
 from gvpipe.core.types import PosedView
 
@@ -19,7 +19,7 @@ FLAT, RAISED = 0.01, 0.03
 
 
 def raised_surfaces(
-    views: Sequence[PosedView], solids: Sequence[Solid], threads: int
+    views: Sequence[PosedView], solids: Sequence[VoxelSolid], threads: int
 ) -> list[NDArray[np.float32]]:
     """Tell obstacles from ground where texture is good enough to measure depth.
 
@@ -30,7 +30,7 @@ def raised_surfaces(
     ----------
     views : sequence of PosedView
         Reduced pictures.
-    solids : sequence of Solid
+    solids : sequence of VoxelSolid
         Where obstacles may be.
     threads : int
         Views worked on side by side; does not change the result.
@@ -42,7 +42,7 @@ def raised_surfaces(
         nothing is known.
     """
     grown = [
-        Solid(down_to_ground(ndimage.binary_dilation(s.inside, iterations=AROUND)), s.grid)
+        VoxelSolid(down_to_ground(ndimage.binary_dilation(s.inside, iterations=AROUND)), s.grid)
         for s in solids
     ]
     raised = [np.zeros((v.camera.height, v.camera.width), np.float32) for v in views]

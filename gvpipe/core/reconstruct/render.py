@@ -11,6 +11,7 @@ from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.kernels.raster import rasterise_colours
 from gvpipe.core.reconstruct.background import GroundModel
 from gvpipe.core.reconstruct.mesh import Mesh
+from gvpipe.core.reconstruct.views import upward
 from gvpipe.core.reconstruct.visibility import NEAREST_M, project
 from gvpipe.core.types import Camera, Float, Image, Mount, Pose, PosedView
 
@@ -77,9 +78,7 @@ def render(
 
 def _ground_nearness(camera: Camera, map_from_camera: Pose) -> NDArray[np.float64]:
     """One over the depth of the ground at each pixel, zero above the horizon."""
-    ray_z: Float = map_from_camera.rotation[2] @ camera.inverse
-    u, v = np.arange(camera.width)[None, :], np.arange(camera.height)[:, None]
-    down = -(ray_z[0] * u + ray_z[1] * v + ray_z[2])
+    down = -upward(camera, map_from_camera)
     # a hair less near than it is, so that faces on the ground win
     return np.maximum(down, 0.0) / float(map_from_camera.translation[2]) * (1 - 1e-6)
 

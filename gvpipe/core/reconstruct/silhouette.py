@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.reconstruct.background import (
+    GroundBehind,
     GroundModel,
     GroundWitnesses,
     Mask,
-    SeenGround,
-    below_horizon,
-    reduced,
-    reduction,
     rendered_background,
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
@@ -32,9 +29,8 @@ from gvpipe.core.reconstruct.likeness import (
 from gvpipe.core.reconstruct.photometry import levelled
 from gvpipe.core.reconstruct.raised import raised_surfaces
 from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
+from gvpipe.core.reconstruct.views import below_horizon, reduced
 from gvpipe.core.types import PosedView
-
-__all__ = ["EvidenceOptions", "Silhouette", "count_steps", "silhouettes"]
 
 FIRST_SCALE = 20.0
 """Levels within which colours of the same ground agree, before it is measured."""
@@ -92,6 +88,7 @@ def count_steps(views: Sequence[PosedView], options: EvidenceOptions) -> int:
 
 
 def _by_mosaic(views: Sequence[PosedView], options: EvidenceOptions) -> bool:
+    """Whether views are compared with the mosaic: by option, or because they are too few."""
     return options.background == "mosaic" or len(views) < options.min_views
 
 
@@ -130,9 +127,8 @@ def silhouettes(
     """
     if _by_mosaic(views, options):
         return [_told(colour_silhouette(v, ground, options.colour_scale), on_step) for v in views]
-    pictures = levelled(views)
-    pairs = list(zip(views, pictures, strict=True))
-    small = GroundWitnesses([reduced(v, p, reduction(v)) for v, p in pairs])
+    even = [replace(v, pixels=p) for v, p in zip(views, levelled(views), strict=True)]
+    small = GroundWitnesses([reduced(v) for v in even])
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[Mask] = []
@@ -145,7 +141,7 @@ def silhouettes(
             solid = bodies_seen(small.views, solids, pool)
             small.hide(hidden, solid)
             raised = raised_surfaces(small.views, solids, threads)
-        full = GroundWitnesses([reduced(v, p, 1) for v, p in pairs])
+        full = GroundWitnesses(even)
         if hidden:
             full.hide(hidden, solid)
         shapes = _round(full, scale, options, raised, not hidden, pool, on_step)
@@ -216,13 +212,14 @@ def _told(shape: Silhouette, on_step: Callable[[], object]) -> Silhouette:
     return shape
 
 
-def _compared(view: PosedView, seen: SeenGround) -> Features:
+def _compared(view: PosedView, seen: GroundBehind) -> Features:
     """Compare a view with the ground in the view's own light."""
     ground = without_gloss(view.pixels, seen.colour, seen.support)
     return features(view.pixels, ground, seen.support > 0)
 
 
 def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Keep a quarter of the pixels: every other one of every other row."""
     thin = np.zeros_like(where)
     thin[1::2, 1::2] = where[1::2, 1::2]
     return thin
@@ -230,7 +227,7 @@ def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _silhouette(
     view: PosedView,
-    seen: SeenGround,
+    seen: GroundBehind,
     noise: GroundNoise,
     options: EvidenceOptions,
     extra: NDArray[np.float32],
@@ -263,7 +260,7 @@ def _silhouette(
 def _guessed(
     region: Silhouette,
     measured: NDArray[np.float32],
-    seen: SeenGround,
+    seen: GroundBehind,
     least: float,
 ) -> NDArray[np.bool_]:
     """Parts of a region that hardly differ from ground that other views do see there.
@@ -282,7 +279,7 @@ def _guessed(
 
 
 def _measured_gain(
-    view: PosedView, seen: SeenGround, noise: GroundNoise, options: EvidenceOptions, first: bool
+    view: PosedView, seen: GroundBehind, noise: GroundNoise, options: EvidenceOptions, first: bool
 ) -> NDArray[np.float32]:
     """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gvpipe.core.reconstruct.energy import Volume
+from gvpipe.core.reconstruct.grid import Volume
 from gvpipe.core.reconstruct.history import Frames
 
 Layer = NDArray[np.float32]

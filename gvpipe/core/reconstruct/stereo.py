@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.stereo import LIKE, match_depths
-from gvpipe.core.reconstruct.background import reduced, reduction, upward_rays
+from gvpipe.core.reconstruct.views import ground_depth
 from gvpipe.core.types import Float, PosedView
 
 SOURCES = 4
@@ -47,11 +47,6 @@ class DepthMap:
     confidence: NDArray[np.float32]
 
 
-def work_view(view: PosedView) -> PosedView:
-    """Reduce a view to the size at which depths are matched, to millimetres at arm's length."""
-    return reduced(view, view.pixels, reduction(view))
-
-
 def depth_maps(
     views: Sequence[PosedView],
     near: Sequence[NDArray[np.float32]],
@@ -63,13 +58,19 @@ def depth_maps(
     Parameters
     ----------
     views : sequence of PosedView
-        As :func:`work_view` gives them.
+        Reduced, see :func:`gvpipe.core.reconstruct.views.reduced`: depths of arm's length come out
+        to millimetres.
     near : sequence of (h, w) float32
         Least depth of each pixel, metres; infinite where nothing is to be matched.
     middle : (3,) float64
         Point the obstacle stands at: views are neighbours by their directions to it.
     threads : int
         Views worked on side by side; does not change the result.
+
+    Returns
+    -------
+    maps : list of DepthMap
+        One a view, in order.
     """
     sizes = np.array([[v.camera.width, v.camera.height] for v in views])
     width, height = sizes.max(axis=0)
@@ -110,15 +111,6 @@ def depth_maps(
         found = list(pool.map(one, range(len(views))))
     depths = [np.where(cost < LIKE, depth, 0).astype(np.float32) for depth, cost in found]
     return [DepthMap(view, depths[k], _confirmed(k, views, depths)) for k, view in enumerate(views)]
-
-
-def ground_depth(view: PosedView) -> NDArray[np.float32]:
-    """Depth, (H, W) float32 metres, at which a view's rays meet the ground, 0 above the horizon."""
-    a, b, c = upward_rays(view)
-    u, v = np.arange(view.camera.width)[None, :], np.arange(view.camera.height)[:, None]
-    upward = a * u + b * v + c
-    depth = np.where(upward < -1e-6, -view.map_from_camera.translation[2] / upward, 0.0)
-    return depth.astype(np.float32)
 
 
 def _sources(index: int, views: Sequence[PosedView], middle: Float) -> NDArray[np.int64]:
