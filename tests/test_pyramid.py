@@ -3,7 +3,7 @@
 import numpy as np
 import tifffile
 
-from gvpipe.formats.plots import curves_svg, heat_map
+from gvpipe.formats.plots import EDGE, curves_svg, heat_map
 from gvpipe.formats.pyramid import TILE, write_pyramid
 
 
@@ -37,9 +37,31 @@ def test_diagrams():
     assert "A &amp; B" in svg
     assert "chi2: B/1, 0.05" in svg
     assert curves_svg("one", "image", ["B/0"], {"a": np.zeros(1)}).endswith("</svg>\n")
-    pixels = heat_map(np.array([[0.0, 0.5], [1.0, 0.2], [0.1, 0.1]]))
-    assert pixels.shape == (510, 340, 3)
-    sums = pixels[::170, ::170].astype(int).sum(axis=2)
+
+
+def test_a_matrix_is_coloured_and_its_edges_say_which_row_is_which():
+    matrix = np.array([[0.0, 0.5], [1.0, 0.2], [0.1, 0.1]])
+    plain, named = heat_map(matrix), heat_map(matrix, "A", "B")
+    squares = plain[EDGE : EDGE + 510, EDGE : EDGE + 340]
+    assert (squares.reshape(3, 170, 2, 170, 3) == squares[::170, None, ::170, None]).all()
+    sums = squares[::170, ::170].astype(int).sum(axis=2)
     assert sums[1, 0] == sums.max()
     assert sums[0, 0] == sums.min()
-    assert heat_map(np.ones((1, 1))).shape == (512, 512, 3)
+
+    def written(strip):
+        """Middles of what is written, as shares of the strip."""
+        ink = np.flatnonzero((strip < 128).all(axis=2).any(axis=0))
+        return [
+            part.mean() / strip.shape[1]
+            for part in np.split(ink, np.flatnonzero(np.diff(ink) > 20) + 1)
+        ]
+
+    across = written(plain[:EDGE, EDGE : EDGE + 340])
+    np.testing.assert_allclose(across, [1 / 4, 3 / 4], atol=0.01)
+    down = written(plain[EDGE : EDGE + 510, :EDGE].transpose(1, 0, 2))
+    np.testing.assert_allclose(down, [1 / 6, 3 / 6, 5 / 6], atol=0.01)
+    below = np.s_[EDGE + 510 :]
+    assert (plain[below] == 255).all()
+    assert (named[below] < 128).any()
+    assert heat_map(np.ones((1, 1))).shape == (512 + 2 * EDGE, 512 + 2 * EDGE, 3)
+    assert heat_map(np.ones((900, 2))).shape[0] == 900 + 2 * EDGE

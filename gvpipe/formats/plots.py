@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,12 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 MAP_SIDE = 512
 """Size that the longer side of a matrix is enlarged to, about, pixels."""
+
+EDGE, GAP = 40, 8
+"""Pixels around a matrix for its numbers, of three digits at least, and between the two."""
+
+FONT, TEXT_SCALE, TEXT_HEIGHT = cv2.FONT_HERSHEY_SIMPLEX, 0.5, 11
+"""Of OpenCV, and how high its digits are then, pixels."""
 
 RAMP = np.array([[13, 8, 60], [123, 30, 120], [213, 80, 72], [250, 165, 40], [252, 250, 190]])
 """Colours of a matrix from its smallest to its largest value: darker is smaller, also in grey."""
@@ -72,22 +79,58 @@ def curves_svg(
     return drawing.to_svg()
 
 
-def heat_map(matrix: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Colour a matrix, rows from top to bottom.
+def heat_map(matrix: NDArray[np.floating], down: str = "", across: str = "") -> NDArray[np.uint8]:
+    """Colour a matrix, rows from top to bottom, with the numbers of some at its edges.
 
     Parameters
     ----------
     matrix : (n, m) float
         Not empty.
+    down, across : str
+        What its rows and its columns are (ASCII); written below if given.
 
     Returns
     -------
-    pixels : (H, W, 3) uint8
-        RGB; every value a square of the same size.
+    page : (H, W, 3) uint8
+        RGB on white: every value a square of the same size, the first :data:`EDGE` pixels from
+        the left and from the top.
     """
     low, high = float(matrix.min()), float(matrix.max())
     places = np.linspace(0.0, 1.0, len(RAMP))
     shares = (matrix - low) / max(high - low, 1e-12)
     pixels = np.stack([np.interp(shares, places, RAMP[:, c]) for c in range(3)], axis=-1)
     side = max(1, MAP_SIDE // max(matrix.shape))
-    return np.rint(pixels).astype(np.uint8).repeat(side, axis=0).repeat(side, axis=1)
+    squares = np.rint(pixels).astype(np.uint8).repeat(side, axis=0).repeat(side, axis=1)
+    caption = f"down: {down}, across: {across}" if down or across else ""
+    height, width, _ = squares.shape
+    size = (height + 2 * EDGE, max(width + EDGE, EDGE + _text_width(caption)) + EDGE, 3)
+    page = np.full(size, 255, np.uint8)
+    page[EDGE : EDGE + height, EDGE : EDGE + width] = squares
+    rows, columns = (_numbered(count, side) for count in matrix.shape)
+    for k in rows:
+        middle = EDGE + (2 * k + 1) * side // 2
+        _write(page, str(k), EDGE - GAP - _text_width(str(k)), middle + TEXT_HEIGHT // 2)
+    for k in columns:
+        middle = EDGE + (2 * k + 1) * side // 2
+        _write(page, str(k), middle - _text_width(str(k)) // 2, EDGE - GAP)
+    _write(page, caption, EDGE, height + 2 * EDGE - GAP - TEXT_HEIGHT // 2)
+    return page
+
+
+def _numbered(count: int, side: int) -> list[int]:
+    """First, middle and last of some rows or columns, as far as their numbers have room."""
+    chosen: list[int] = []
+    for k in sorted({0, (count - 1) // 2, count - 1}):
+        if not chosen or (k - chosen[-1]) * side >= EDGE:
+            chosen.append(k)
+    return chosen
+
+
+def _text_width(text: str) -> int:
+    """Pixels that a text takes."""
+    return int(cv2.getTextSize(text, FONT, TEXT_SCALE, 1)[0][0])
+
+
+def _write(page: NDArray[np.uint8], text: str, left: int, foot: int) -> None:
+    """Write a text in black, its lower left corner given."""
+    cv2.putText(page, text, (left, foot), FONT, TEXT_SCALE, (0, 0, 0), 1, cv2.LINE_AA)
