@@ -313,8 +313,13 @@ def test_trajectory_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert document["pairs"] == 30
     assert document["ate"]["translation_m"]["rmse"] < 1e-9
     assert document["rpe"]["rotation_deg"]["max"] < 1e-4
-    assert "ATE translation" in capsys.readouterr().out
-    assert run(["evaluate", "trajectory", *arguments, "--align", "none", *out]) == 0
+    assert "ATE, m" in capsys.readouterr().out
+    far = ["--align", "none", "--delta", "12", *out]
+    assert run(["evaluate", "trajectory", *arguments, *far]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line for line in said if line.startswith(("ATE, °", "RPE over 12, °"))]
+    # paths are never folded; all else fits a narrow terminal, whatever the errors
+    assert max(len(line) for line in said if not line.startswith("wrote")) <= 72
     assert json.loads((tmp_path / "out.json").read_text())["ate"]["translation_m"]["rmse"] > 1
     assert run(["evaluate", "trajectory", str(tmp_path / "nothing"), arguments[1]]) == 4
     assert run(["evaluate", "trajectory", *arguments, "--align", "magic"]) == 2

@@ -113,13 +113,18 @@ def _summary(errors: Errors) -> dict[str, dict[str, float]]:
 
 
 def _rows(title: str, summary: Mapping[str, Mapping[str, float]]) -> list[tuple[str, str]]:
-    """Lines of the table for one kind of error."""
+    """Lines of the table for one kind of error, not wider than a narrow terminal."""
     rows = []
     for key, unit in (("translation_m", "m"), ("rotation_deg", "°")):
         s = summary[key]
-        parts = "  ".join(f"{name} {s[name]:.5f}" for name in ("rmse", "mean", "median", "max"))
-        rows.append((f"{title} {key.split('_')[0]}", f"{parts}  {unit}"))
+        parts = (f"{name} {_number(s[name])}" for name in ("rmse", "mean", "median", "max"))
+        rows.append((f"{title}, {unit}", "  ".join(parts)))
     return rows
+
+
+def _number(value: float) -> str:
+    """Give at most five decimals, fewer of large numbers."""
+    return f"{value:.5f}" if value < 10 else f"{value:.6g}"
 
 
 def homography(match: Path, truth: Path, *, json_path: Path | None, reporter: Reporter) -> None:
