@@ -49,10 +49,12 @@ def plan_stages(names: Sequence[str], session: Session, reporter: Reporter, *, f
     Raises
     ------
     InputError
-        If there is no usable picture, or a listed pair names one that is not there.
+        If there is no usable picture, or a listed pair names one that is not there; after all is
+        said, if a command could not run: the run would end with this error's exit code, too.
     """
+    refusals: list[str] = []
     times = [
-        _plan_stage(name, session, reporter, force=force, before=names[:k])
+        _plan_stage(name, session, reporter, refusals, force=force, before=names[:k])
         for k, name in enumerate(names)
     ]
     if len(names) > 1:
@@ -60,37 +62,49 @@ def plan_stages(names: Sequence[str], session: Session, reporter: Reporter, *, f
         said = f"about {sum(time or 0.0 for time in times):.0f} s in all"
         rows = [("commands", f"{run} of {len(names)} would run")]
         reporter.result("gvpipe run", rows + [("time", said)] * bool(run), [])
+    if refusals:
+        raise InputError(refusals[0])
 
 
 def _plan_stage(
-    name: str, session: Session, reporter: Reporter, *, force: bool, before: Collection[str]
+    name: str,
+    session: Session,
+    reporter: Reporter,
+    refusals: list[str],
+    *,
+    force: bool,
+    before: Collection[str],
 ) -> float | None:
-    """Say what one command would do after those before it; returns seconds, None if nothing."""
+    """Say what one command would do after those before it, add to `refusals` why it could not.
+
+    Returns seconds, None if it would do nothing.
+    """
     config, dataset, jobs = session.config, session.dataset, session.jobs
     chain = Chain(config, dataset)
     rows = [("images", f"{len(dataset.entries)} used, {len(dataset.skipped)} skipped")]
-    ready, renewed = True, False
+    lacking, renewed = [], False
     for stage in _upstream(name, config):
         state = _state(chain, stage)
         runs = stage in before and (force or state is not None)
-        ready &= runs or state is None
+        lacking += [state] if state and not runs else []
         renewed |= runs
         rows.append((stage, "would run before" if runs else state or "fresh"))
+    refusals += lacking
     why = "after what it reads" if renewed else _state(chain, name) or ("forced" if force else None)
-    if not ready:
+    if lacking:
         rows.append((name, "cannot run before what it reads is fresh"))
     else:
         rows.append((name, f"would run: {why}" if why else "fresh, nothing to do"))
     if name == "match":
         rows.append(("pairs", str(len(planned_pairs(config, dataset)))))
     seconds, size = estimate(name, config, dataset, jobs)
-    if why or not ready:
-        until = "" if ready else ", if it runs"
+    if why or lacking:
+        until = ", if it runs" if lacking else ""
         rows.append(("time", f"about {seconds:.0f} s with {jobs} job{'s' * (jobs > 1)}{until}"))
         rows.append(("memory", f"about {size / 2**20:.0f} MB"))
     rows.append(("wrote", "nothing: --dry-run"))
     reporter.result(f"gvpipe {name}", rows, [])
-    return seconds if why and ready else None
+    return seconds if why and not lacking else None
 
 
 def estimate(name: str, config: Config, dataset: Dataset, jobs: int) -> tuple[float, int]:

@@ -11,8 +11,8 @@ from gvpipe.plan import estimate
 from tests.conftest import STAGES, TinySet
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert run([*arguments, "--dry-run"]) == 0
+def said(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> str:
+    assert run([*arguments, "--dry-run"]) == code
     return " ".join(capsys.readouterr().out.split())
 
 
@@ -24,7 +24,7 @@ def test_a_dry_run_before_anything_names_what_is_missing_and_writes_nothing(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "400")  # no folded paths
     out = tmp_path / "run"
-    text = said(capsys, "slam", str(tiny.config), "--out", str(out))
+    text = said(capsys, "slam", str(tiny.config), "--out", str(out), code=4)
     assert "match/match.json: missing; `gvpipe match CONFIG` makes it" in text
     assert "overlap/overlap.json: missing; `gvpipe overlap CONFIG` makes it" in text
     assert "slam cannot run before what it reads is fresh" in text
@@ -47,7 +47,8 @@ def test_a_dry_run_of_several_commands_knows_what_runs_before(
     assert "cannot run" not in text
     assert "commands 6 of 6 would run time about" in text
     # the matches that all of these need are nobody's task
-    some = said(capsys, "run", str(tiny.config), "--out", str(out), "--stages", "slam,mosaic")
+    part = [str(tiny.config), "--out", str(out), "--stages", "slam,mosaic"]
+    some = said(capsys, "run", *part, code=4)
     assert "slam cannot run" in some
     assert "mosaic cannot run" in some
     assert not out.exists()
@@ -63,9 +64,24 @@ def test_a_dry_run_after_everything_finds_nothing_to_do(
     assert "commands 0 of 6 would run" in said(capsys, "run", str(chain.config))
     text = said(capsys, "reconstruct", str(chain.config), "--force")
     assert "reconstruct would run: forced" in text
-    changed = said(capsys, "mosaic", str(chain.config), "--set", "mosaic.resolution=0.01")
+    finer = [str(chain.config), "--set", "mosaic.resolution=0.01"]
+    changed = said(capsys, "mosaic", *finer)
     assert "mosaic would run" in changed
     assert "another configuration" in changed
+    stale = said(capsys, "reconstruct", *finer, code=4)
+    assert "reconstruct cannot run" in stale
+
+
+def test_a_dry_run_ends_with_the_exit_code_of_the_run(
+    tiny: TinySet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for arguments in (["slam"], ["reconstruct"], ["run", "--stages", "mosaic,reconstruct"]):
+        command = [*arguments, str(tiny.config), "--out", str(tmp_path / "run")]
+        assert run(command) == 4
+        capsys.readouterr()
+        assert run([*command, "--dry-run"]) == 4
+        # of all that is missing, what is to be made first
+        assert "match.json: missing; `gvpipe match CONFIG` makes it" in capsys.readouterr().err
 
 
 def test_estimates_grow_with_the_work(tiny: TinySet) -> None:

@@ -124,7 +124,7 @@ def _rows(title: str, summary: Mapping[str, Mapping[str, float]]) -> list[tuple[
 
 def _number(value: float) -> str:
     """Give at most five decimals, fewer of large numbers."""
-    return f"{value:.5f}" if value < 10 else f"{value:.6g}"
+    return f"{value:.5f}" if value < 10 else f"{value:#.6g}"
 
 
 def homography(match: Path, truth: Path, *, json_path: Path | None, reporter: Reporter) -> None:
