@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from gvpipe.cli import run
 from gvpipe.commands.trajectories import Trajectory, associate, read_trajectory
 from gvpipe.core.evaluation.mesh_error import Surface, sample_surface, surface_errors, volume_iou
 from gvpipe.core.evaluation.trajectory_error import (
-    ALIGNMENTS,
+    Alignment,
     Similarity,
     absolute_errors,
     align,
@@ -126,7 +127,7 @@ FITS = {
 }
 
 
-@pytest.mark.parametrize("how", ALIGNMENTS)
+@pytest.mark.parametrize("how", get_args(Alignment))
 def test_alignment_undoes_what_it_may(how: str) -> None:
     found = walk(5)
     true = [FITS[how].pose(pose) for pose in found]

@@ -103,6 +103,7 @@ class _Source:
     document: Document
 
     def error(self, path: tuple[str, ...], message: str) -> ConfigError:
+        """Name file, line and key path."""
         mark = self.document.value_marks.get(path)
         where = f"{self.name}:{mark.line}:{mark.column}" if mark and path else self.name
         return ConfigError(
@@ -116,12 +117,14 @@ class _Source:
         return next(((*inside, key) for key in found), None)
 
     def need(self, what: str, *names: str, inside: tuple[str, ...] = ()) -> tuple[str, ...]:
+        """Path of a key that must be there, under the first of its spellings that is."""
         path = self.find(*names, inside=inside)
         if path is None:
             raise self.error((*inside, names[0]), f"is missing; expected {what}")
         return path
 
     def get(self, path: tuple[str, ...]) -> object:
+        """Value at a path; None if there is none."""
         value: object = self.document.value
         for key in path:
             value = value.get(key) if isinstance(value, Mapping) else None
@@ -144,12 +147,14 @@ class _Source:
         return tuple(float(v) for v in value)
 
     def pixels(self, path: tuple[str, ...]) -> int:
+        """Read a whole number above 0."""
         value = self.get(path)
         if isinstance(value, bool) or not isinstance(value, int) or value <= 0:
             raise self.error(path, f"is {value!r}; expected a number of pixels")
         return value
 
     def text(self, path: tuple[str, ...] | None) -> str:
+        """Read a word in small letters; empty if there is none."""
         value = self.get(path) if path else None
         return "" if value is None else str(value).strip().lower()
 

@@ -26,6 +26,7 @@ def format_opencv(calibration: Calibration, name: str) -> str:
 
 
 def _opencv_matrix(rows: int, columns: int, data: list[float]) -> str:
+    """Write a matrix, row by row, as FileStorage does."""
     numbers = ", ".join(_number(v) for v in data)
     return (
         f"!!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {numbers} ]\n"

@@ -181,6 +181,10 @@ def format_images(images: Sequence[PosedImage], points: SparsePoints | None = No
         Poses.
     points : SparsePoints, optional
         Their observations become the features, in the same order.
+
+    Returns
+    -------
+    text : str
     """
     features: list[list[str]] = [[] for _ in images]
     if points is not None:

@@ -51,6 +51,11 @@ def sheet(pictures: Sequence[tuple[Image, Caption]], columns: int) -> Image:
         At least one; RGB and caption (ASCII), in black or in pieces of any colour.
     columns : int
         Pictures in a row; the last row may have fewer.
+
+    Returns
+    -------
+    page : (H, W, 3) uint8
+        RGB.
     """
     cells = [_captioned(picture, text) for picture, text in pictures]
     height, width, _ = cells[0].shape
@@ -63,6 +68,7 @@ def sheet(pictures: Sequence[tuple[Image, Caption]], columns: int) -> Image:
 
 
 def _captioned(picture: Image, caption: Caption) -> Image:
+    """Put a picture on a white strip with its caption."""
     strip = np.full((CAPTION_HEIGHT, picture.shape[1], 3), 255, np.uint8)
     x, font = TEXT_MARGIN, cv2.FONT_HERSHEY_SIMPLEX
     for text, colour in [(caption, BLACK)] if isinstance(caption, str) else caption:
@@ -126,6 +132,7 @@ def _from_above(layer: Layer) -> Layer:
 
 
 def _coloured(shares: Layer, ramp: NDArray[np.int_]) -> Image:
+    """Colours, (H, W, 3), of shares 0..1 on a ramp."""
     places = np.linspace(0.0, 1.0, len(ramp))
     channels = [np.interp(shares, places, ramp[:, c]) for c in range(3)]
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)

@@ -14,6 +14,15 @@ def jpeg_bytes(pixels: Image, quality: int = 95) -> bytes:
         The picture.
     quality : int
         1 to 100, as libjpeg counts.
+
+    Returns
+    -------
+    jpeg : bytes
+
+    Raises
+    ------
+    ValueError
+        If OpenCV cannot encode it.
     """
     bgr = pixels[..., ::-1] if pixels.ndim == 3 else pixels
     good, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])

@@ -34,6 +34,7 @@ MOST_FILE_BYTES = 2**30
 
 
 def _vertices(points: Float, normals: Float, colours: Image) -> bytes:
+    """Pack the rows of the element `vertex`."""
     rows = np.empty(len(points), dtype=_VERTEX)
     for k, name in enumerate(("x", "y", "z")):
         rows[name], rows["n" + name] = points[:, k], normals[:, k]
@@ -43,6 +44,7 @@ def _vertices(points: Float, normals: Float, colours: Image) -> bytes:
 
 
 def _header(vertices: int, faces: int | None) -> bytes:
+    """Write the header; None: without the element `face`."""
     lines = ["ply", "format binary_little_endian 1.0", "comment gvpipe, metres, z up"]
     lines += [f"element vertex {vertices}"]
     lines += [f"property float {n}" for n in ("x", "y", "z", "nx", "ny", "nz")]
@@ -105,6 +107,7 @@ def read_mesh(path: Path) -> Mesh:
 
 
 def _decode(data: bytes) -> Mesh:
+    """Read the bytes of a file; ValueError says what is wrong with them."""
     end = data.find(b"end_header\n", 0, MOST_HEADER_BYTES)
     if not data.startswith(b"ply\n") or end < 0:
         raise ValueError("no PLY header")
@@ -139,6 +142,7 @@ def _decode(data: bytes) -> Mesh:
 
 
 def _columns(rows: np.ndarray, names: tuple[str, ...]) -> Float:
+    """Put some columns side by side, (N, k)."""
     return np.column_stack([rows[n].astype(np.float64) for n in names])
 
 

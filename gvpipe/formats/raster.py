@@ -63,6 +63,7 @@ class PngWriter:
             self._pack(flat[start : start + ROWS_AT_ONCE])
 
     def _pack(self, flat: NDArray[np.uint8]) -> None:
+        """Filter some rows and compress them."""
         self._rows += len(flat)
         coded = np.empty((len(flat), 1 + flat.shape[1]), np.uint8)
         coded[:, 0] = FILTER_UP

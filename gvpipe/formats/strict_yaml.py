@@ -176,6 +176,7 @@ class _Builder:
         return True
 
     def _scalar(self, event: yaml.ScalarEvent) -> bool:
+        """Take a key or a plain value."""
         self._check_tag(event)
         if self._expects_key():
             self._key(event)
@@ -185,6 +186,7 @@ class _Builder:
         return True
 
     def _open(self, event: yaml.CollectionStartEvent) -> bool:
+        """Begin a mapping or a list."""
         self._check_tag(event)
         if self._expects_key():
             self.problem(event.start_mark, "a key is a list or a mapping; expected text")
@@ -200,6 +202,7 @@ class _Builder:
         return True
 
     def _check_tag(self, event: yaml.ScalarEvent | yaml.CollectionStartEvent) -> None:
+        """Record anchors, and tags that are not allowed."""
         if event.anchor is not None:
             self.problem(event.start_mark, f"anchor &{event.anchor}; expected a plain value")
         if event.tag is not None and event.tag not in self._tags:
@@ -215,10 +218,12 @@ class _Builder:
         return level.path if level.key is None else (*level.path, level.key)
 
     def _expects_key(self) -> bool:
+        """Whether a key comes next."""
         level = self._levels[-1] if self._levels else None
         return level is not None and isinstance(level.container, dict) and level.key is None
 
     def _key(self, event: yaml.ScalarEvent) -> None:
+        """Take a key of the innermost mapping."""
         level = self._levels[-1]
         level.key = event.value
         path = (*level.path, event.value)
@@ -273,6 +278,11 @@ def format_value(value: object) -> str:
     ----------
     value : object
         Dicts, lists, tuples, str, int, float, bool or None.
+
+    Returns
+    -------
+    text : str
+        On one line.
     """
     if isinstance(value, dict):
         return (

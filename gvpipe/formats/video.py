@@ -135,6 +135,7 @@ class VideoReader:
 
 
 def _is_utf8(name: str) -> bool:
+    """Whether a name can be handed on as UTF-8."""
     try:
         name.encode("utf-8")
     except UnicodeEncodeError:

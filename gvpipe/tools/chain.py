@@ -95,6 +95,8 @@ class StageCommand(TyperCommand):
 
 
 def _stage_command(name: str) -> Callable[..., None]:
+    """Make the command line of one stage."""
+
     def command(
         config: ConfigPath,
         out: OutDir = None,

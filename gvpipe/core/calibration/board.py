@@ -94,6 +94,11 @@ def find_board(pixels: Image, board: Board) -> BoardView | Rejected:
         As photographed.
     board : Board
         What to look for.
+
+    Returns
+    -------
+    view : BoardView or Rejected
+        Rejected if it shows no board, or too few of its corners.
     """
     grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), np.uint8)
     view = _find_charuco(grey, board) if board.marker_m else _find_chessboard(grey, board)
@@ -103,6 +108,7 @@ def find_board(pixels: Image, board: Board) -> BoardView | Rejected:
 
 
 def _find_chessboard(grey: NDArray[np.uint8], board: Board) -> BoardView | Rejected:
+    """Find all inner corners, or none."""
     size = (board.columns, board.rows)
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     good, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
@@ -116,6 +122,7 @@ def _find_chessboard(grey: NDArray[np.uint8], board: Board) -> BoardView | Rejec
 
 
 def _find_charuco(grey: NDArray[np.uint8], board: Board) -> BoardView | Rejected:
+    """Find the corners between the markers that are seen."""
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
     size = (board.columns, board.rows)
     pattern = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, dictionary)

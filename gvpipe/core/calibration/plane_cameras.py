@@ -105,6 +105,11 @@ def residuals(shared: Float, poses: Float, matches: Matches) -> Float:
         See :data:`POSE`.
     matches : Matches
         What was seen.
+
+    Returns
+    -------
+    errors : (N, 2) float64
+        :data:`FARTHEST` where a point falls behind a camera.
     """
     forward = ray_from_ground(poses)
     ground = _apply(_inverse(forward)[matches.camera_i], _rays(shared, matches))
@@ -113,6 +118,11 @@ def residuals(shared: Float, poses: Float, matches: Matches) -> Float:
 
 def jacobian(shared: Float, poses: Float, matches: Matches) -> tuple[Float, Float, Float, Float]:
     """Residuals and their derivatives by finite differences.
+
+    Parameters
+    ----------
+    shared, poses, matches
+        As for :func:`residuals`.
 
     Returns
     -------

@@ -65,6 +65,11 @@ def descend(
         Camera that fixes origin, heading and unit.
     anchor : float
         Expected logarithm of the focal length, picture widths.
+
+    Returns
+    -------
+    descent : Descent
+        The nearest minimum, or as far as :data:`ITERATIONS` went.
     """
     free = np.ones(GLOBALS + POSE * len(poses), bool)
     first = GLOBALS + POSE * reference
@@ -115,6 +120,7 @@ def _weights(errors: Float, sigma: float) -> Float:
 
 
 def _cost(shared: Float, poses: Float, matches: Matches, sigma: float, anchor: float) -> float:
+    """Minus twice the log likelihood (Geman-McClure) and prior, up to a constant."""
     square = (residuals(shared, poses, matches) ** 2).sum(axis=1) / sigma**2
     robust = square / (1.0 + square / LOSS_SIGMAS**2)
     return float(robust.sum()) + _prior(shared, anchor)
@@ -136,8 +142,23 @@ def normal_matrix(
 ) -> tuple[Float, Float]:
     """Accumulate the weighted normal matrix and the gradient over shared unknowns and poses.
 
-    The gradient is (unknowns, 1); with `target` (N, 2, k) in the residuals' place it is
-    (unknowns, k) and holds no prior.
+    Parameters
+    ----------
+    shared, poses : (3,), (N, 6) float64
+        Where the residuals are linearised.
+    matches : Matches
+        What was seen, sorted by pair.
+    sigma : float
+        Standard deviation of a coordinate, picture widths.
+    anchor : float
+        Expected logarithm of the focal length, picture widths.
+    target : (M, 2, k) float64, optional
+        In the place of the residuals; then the gradient holds no prior.
+
+    Returns
+    -------
+    normal : (3 + 6 N, 3 + 6 N) float64
+    gradient : (3 + 6 N, 1 or k) float64
     """
     error, by_shared, by_i, by_j = jacobian(shared, poses, matches)
     weight = _weights(error, sigma)[:, None, None] / sigma**2
@@ -181,6 +202,11 @@ def covariance(state: Descent, matches: Matches, reference: int, repeats: float)
         Camera that fixes origin, heading and unit.
     repeats : float
         How often the same point is among the matches.
+
+    Returns
+    -------
+    covariance : (3 + 6 N, 3 + 6 N) float64
+        In the order of the unknowns.
 
     Notes
     -----

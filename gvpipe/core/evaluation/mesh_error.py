@@ -94,6 +94,10 @@ def surface_errors(estimate: Float, truth: Float, tolerance_m: float) -> Surface
         From :func:`sample_surface`, metres, one frame.
     tolerance_m : float
         What counts as near.
+
+    Returns
+    -------
+    errors : SurfaceErrors
     """
     accuracy = np.asarray(cKDTree(truth).query(estimate)[0])
     completeness = np.asarray(cKDTree(estimate).query(truth)[0])
@@ -119,6 +123,11 @@ def volume_iou(estimate: Surface, truth: Surface, spacing_m: float) -> float:
         Closed; parts may overlap.
     spacing_m : float
         Side of the cells that are counted.
+
+    Returns
+    -------
+    iou : float
+        0 if neither holds a cell.
 
     Raises
     ------

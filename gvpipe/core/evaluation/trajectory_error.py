@@ -13,8 +13,6 @@ from gvpipe.core.geometry.pose import rotation_vector
 from gvpipe.core.types import Float, Pose, Rejected
 
 Alignment = Literal["none", "origin", "yaw", "se3", "sim3"]
-
-ALIGNMENTS: tuple[Alignment, ...] = ("none", "origin", "yaw", "se3", "sim3")
 """What may be fitted before comparing: nothing; the first poses; heading and position over level
 ground; a rigid motion; a rigid motion and a scale."""
 
@@ -119,6 +117,11 @@ def absolute_errors(estimate: Sequence[Pose], reference: Sequence[Pose]) -> Erro
     ----------
     estimate, reference : sequence of Pose
         The same number, aligned.
+
+    Returns
+    -------
+    errors : Errors
+        One a pose.
     """
     return Errors(
         np.array([_gap(e, r) for e, r in zip(estimate, reference, strict=True)]),
@@ -139,6 +142,11 @@ def relative_errors(
         Poses from the start of a motion to its end.
     all_pairs : bool
         Every start, or only those where the last motion ended.
+
+    Returns
+    -------
+    errors : Errors
+        One a motion; none if there are not more than `delta` poses.
     """
     starts = range(0, len(estimate) - delta, 1 if all_pairs else delta)
     moved = [estimate[k].inverse() @ estimate[k + delta] for k in starts]
@@ -170,12 +178,15 @@ def path_length(poses: Sequence[Pose]) -> float:
 
 
 def _gap(a: Pose, b: Pose) -> float:
+    """Distance of two positions, metres."""
     return float(np.linalg.norm(a.translation - b.translation))
 
 
 def _turn(a: Pose, b: Pose) -> float:
+    """Angle between two orientations, degrees."""
     return _angle_deg(a.rotation.T @ b.rotation)
 
 
 def _angle_deg(rotation: Float) -> float:
+    """Angle of a rotation, degrees."""
     return float(np.degrees(np.linalg.norm(rotation_vector(rotation))))

@@ -215,6 +215,19 @@ def place(
     """Lay a picture on a raster, down to a depth in metres; None if it shows no ground of it.
 
     Its pixels are read only if the border is not given.
+
+    Parameters
+    ----------
+    view : Picture
+    raster : MosaicRaster
+    depth : float
+        Ground deeper than this is not used, metres.
+    border : Border, optional
+        Of the picture, if it is known.
+
+    Returns
+    -------
+    placed : PlacedView or None
     """
     points = outline(view, raster.resolution)
     if not len(points):
@@ -246,7 +259,17 @@ class PlacedIndex:
         self._boxes = np.array(boxes).reshape(-1, 4)
 
     def touching(self, column: int, row: int, width: int, height: int) -> NDArray[np.intp]:
-        """Positions in the sequence, in its order."""
+        """Positions in the sequence, in its order.
+
+        Parameters
+        ----------
+        column, row, width, height : int
+            The rectangle, raster pixels.
+
+        Returns
+        -------
+        places : (n,) int
+        """
         b = self._boxes
         return np.flatnonzero(
             (b[:, 0] < column + width)

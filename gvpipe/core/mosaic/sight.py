@@ -73,7 +73,22 @@ class Look:
 
 
 def take_sight(view: Picture, cells: MosaicRaster, depth: float) -> tuple[PlacedView | None, Sight]:
-    """Sample all cells of a view down to a depth in metres; reads its picture."""
+    """Sample all cells of a view down to a depth in metres; reads its picture.
+
+    Parameters
+    ----------
+    view : Picture
+    cells : MosaicRaster
+        Coarse.
+    depth : float
+        Ground deeper than this is not used, metres.
+
+    Returns
+    -------
+    placed : PlacedView or None
+        The view on the cells; None if it shows none of them.
+    sight : Sight
+    """
     border = view.border()
     p = place(view, cells, depth, border)
     if p is None:

@@ -12,7 +12,22 @@ Single = NDArray[np.float32]
 
 
 def mean_around(values: Single, seen: NDArray[np.bool_], reach: int) -> Single:
-    """Mean over the seen cells within `reach` of each cell, view by view; (h, w, n)."""
+    """Mean over the seen cells within `reach` of each cell, view by view; (h, w, n).
+
+    Parameters
+    ----------
+    values : (h, w, n) float32
+        Cells by views.
+    seen : (h, w, n) bool
+        Which count.
+    reach : int
+        Cells each way.
+
+    Returns
+    -------
+    means : (h, w, n) float32
+        Of the square window; 0 where no cell in it is seen.
+    """
     size = (2 * reach + 1, 2 * reach + 1)
     out = np.empty_like(values)
     for k in range(values.shape[2]):

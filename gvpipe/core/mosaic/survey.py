@@ -187,6 +187,7 @@ class _Surveyor:
         return tile[1] - MARGIN, tile[0] - MARGIN, width, height
 
     def _touching(self, tile: tuple[int, int]) -> NDArray[np.intp]:
+        """Find the views that may see a tile or its margin."""
         return self.index.touching(*self._window(tile))
 
     def _look(self, tile: tuple[int, int]) -> Look:

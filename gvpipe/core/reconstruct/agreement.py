@@ -93,6 +93,7 @@ def _span(azimuths: Sequence[float]) -> float:
 
 
 def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Grow a mask by the surroundings that it answers for, (H, W) bool."""
     width = 2 * round(RING * float(np.sqrt(mask.sum()))) + 1
     grown = cv2.dilate(mask.astype(np.uint8), np.ones((width, width), np.uint8))
     return np.asarray(grown > 0)

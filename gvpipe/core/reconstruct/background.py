@@ -15,6 +15,9 @@ from gvpipe.core.types import Float, PosedView
 REACH = 6.0
 """Ground farther from a camera than this many of its heights shows no detail: not compared."""
 
+WELL_SEEN = 1.5
+"""Weight of views from which on what they show of a ground point can be relied on."""
+
 MOST_OTHERS = 24
 """Views asked for the background of one: the nearest; the cost grows with their square."""
 

@@ -165,6 +165,7 @@ class _Stack:
 
 
 def _stack(views: Sequence[PosedView], masks: Sequence[Silhouette]) -> _Stack:
+    """Check masks against their views and pad them to one size."""
     if len(views) != len(masks) or not views:
         raise ValueError(f"{len(masks)} masks for {len(views)} views")
     for view, mask in zip(views, masks, strict=True):

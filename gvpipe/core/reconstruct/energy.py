@@ -79,7 +79,23 @@ def measure_padded(
     layers: bool,
     slabs: Slabs,
 ) -> Energy:
-    """Evaluate the energy of arrays that are :func:`padded` already."""
+    """Evaluate the energy of arrays that are :func:`padded` already.
+
+    Parameters
+    ----------
+    u, f, g : (nx, ny, nz + 2) float32
+        As for :func:`measure`, padded.
+    spacing : (3,) float64
+        Voxel spacing.
+    layers : bool
+        As for :func:`measure`.
+    slabs : Slabs
+        Threads to work with.
+
+    Returns
+    -------
+    energy : Energy
+    """
     pitch = np.float32(spacing[: 2 if layers else 3].min())
     arguments = (u, f, g, inverse_spacing(spacing, layers), pitch)
     even = np.ones(len(u), dtype=np.int64)

@@ -66,6 +66,13 @@ def restored(frame: NDArray[np.int8], grid: VoxelGrid) -> tuple[Volume, VoxelGri
         One of the frames.
     grid : VoxelGrid
         Of the evolution.
+
+    Returns
+    -------
+    u : (mx, my, mz) float32
+        Positive inside, metres.
+    grid : VoxelGrid
+        Its own.
     """
     step = stride(grid)
     coarse = VoxelGrid(grid.origin, grid.spacing * step, frame.shape)

@@ -197,6 +197,16 @@ def search_grid(views: Sequence[PosedView]) -> VoxelGrid:
     """Coarse voxels over the ground that enough views see near the cameras.
 
     They reach up to the cameras' median height.
+
+    Parameters
+    ----------
+    views : sequence of PosedView
+        At least one.
+
+    Returns
+    -------
+    grid : VoxelGrid
+        Cubic voxels from the ground up, at most about :data:`COARSE_VOXELS`.
     """
     centres = np.array([v.map_from_camera.translation for v in views])
     height = float(np.median(centres[:, 2]))
@@ -233,6 +243,20 @@ def regions_of(inside: Bool, grid: VoxelGrid, margin: int) -> list[Region]:
     """Boxes around the parts of a coarse hull, grown by a margin of voxels; largest first.
 
     Boxes that overlap are joined, so that nothing stands in two of them.
+
+    Parameters
+    ----------
+    inside : (nx, ny, nz) bool
+        A coarse hull.
+    grid : VoxelGrid
+        Of the hull.
+    margin : int
+        Voxels on all sides.
+
+    Returns
+    -------
+    regions : list of Region
+        Each from the ground up.
     """
     grown = ndimage.binary_dilation(inside, iterations=margin)
     labels, _ = ndimage.label(grown)
@@ -268,6 +292,7 @@ def region_grid(region: Region, voxels: int, finest: float) -> VoxelGrid:
 
 
 def _cover(lower: Float, upper: Float, spacing: float) -> VoxelGrid:
+    """Cubic voxels over a box, from its lower corner on."""
     counts = np.maximum(np.ceil((upper - lower) / spacing).astype(int), 1)
     shape = (int(counts[0]), int(counts[1]), int(counts[2]))
     return VoxelGrid(lower + spacing / 2, np.full(3, spacing), shape)

@@ -127,6 +127,7 @@ def evolve(
 
 
 def _check(u0: Volume, f: Volume, g: Volume, evolution: str) -> None:
+    """Raise ValueError for arguments that no evolution can begin with."""
     if not u0.shape == f.shape == g.shape or u0.ndim != 3:
         raise ValueError(f"shapes differ: u0 {u0.shape}, f {f.shape}, g {g.shape}")
     if not (np.isfinite(u0).all() and np.isfinite(f).all() and np.isfinite(g).all()):
@@ -284,9 +285,11 @@ class _Descent:
         return u
 
     def _energy(self, u: Volume) -> Energy:
+        """Energy of u on the finest grid."""
         return self._measured(u, self.f, self.g, 0)
 
     def _measured(self, u: Volume, f: Volume, g: Volume, level: int) -> Energy:
+        """Energy of u on a level, its weights given."""
         return measure_padded(u, f, g, self.spacing * 2**level, self.layers, self.slabs)
 
     def _accept(self, u: Volume, energy: Energy) -> None:

@@ -89,6 +89,11 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
         Ground expected there.
     known : (H, W) bool
         Where the background is known.
+
+    Returns
+    -------
+    features : Features
+        (H, W) each.
     """
     inside = known.astype(np.float32)
     once, mask = 1 / np.maximum(_blur(inside, WINDOW), 1e-3), cv2.merge([inside] * 3)
@@ -120,6 +125,13 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
 def difference(f: Features, noise: GroundNoise) -> tuple[Single, Single]:
     """Weigh the features by what ground does itself.
 
+    Parameters
+    ----------
+    f : Features
+        Of any shape.
+    noise : GroundNoise
+        What bare ground makes.
+
     Returns
     -------
     difference : array of float32
@@ -142,6 +154,16 @@ def learn_noise(samples: Sequence[Features]) -> GroundNoise:
 
     Starts from the pixels with small differences and alternates between fitting lines through
     the medians of flat and of strongly textured ground and choosing the pixels that agree.
+
+    Parameters
+    ----------
+    samples : sequence of Features
+        (N,) each; most of their pixels show bare ground.
+
+    Returns
+    -------
+    noise : GroundNoise
+        A usual one if there are fewer than 100 pixels.
     """
     f = Features(
         *(
@@ -207,6 +229,7 @@ def _line(x: Single, y: Single) -> tuple[float, float]:
 
 
 def _blur(values: Single, sigma: float) -> Single:
+    """Gaussian blur of any channels, `sigma` in pixels."""
     return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma), np.float32)
 
 

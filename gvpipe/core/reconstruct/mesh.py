@@ -107,6 +107,7 @@ class PointCloud:
 
 
 def _middle(vertices: Float) -> Float:
+    """Mean of the vertices, (3,): near the surface, where volumes lose no digits."""
     return vertices.mean(axis=0) if len(vertices) else np.zeros(3)
 
 
@@ -184,6 +185,7 @@ def surface(u: Volume, grid: VoxelGrid) -> Mesh:
 
 
 def _zero_level(u: Volume, grid: VoxelGrid) -> Mesh:
+    """Extract the zero level of u as a mesh whose faces look outward."""
     if not (u > 0).any():
         return Mesh.of(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
     corners, faces, _, _ = marching_cubes(u, 0.0, gradient_direction="ascent")  # type: ignore[no-untyped-call]

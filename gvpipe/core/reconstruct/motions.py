@@ -20,13 +20,27 @@ def _shifted(phi: Float, axis: int, by: int) -> Float:
 
 
 def one_sided(phi: Float, axis: int, spacing: float) -> tuple[Float, Float]:
-    """Backward and forward difference along an axis (thesis eq. 5.3.11)."""
+    """Backward and forward difference along an axis (thesis eq. 5.3.11).
+
+    Parameters
+    ----------
+    phi : (n, ...) float64
+    axis : int
+    spacing : float
+        Grid spacing along it.
+
+    Returns
+    -------
+    backward, forward : (n, ...) float64
+        0 at the border that has no neighbour on that side.
+    """
     backward = (phi - _shifted(phi, axis, -1)) / spacing
     forward = (_shifted(phi, axis, 1) - phi) / spacing
     return backward, forward
 
 
 def _central(phi: Float, axis: int, spacing: float) -> Float:
+    """Central difference along an axis."""
     return (_shifted(phi, axis, 1) - _shifted(phi, axis, -1)) / (2.0 * spacing)
 
 

@@ -68,6 +68,7 @@ class NarrowBand:
         self._spans = self._everywhere()
 
     def _everywhere(self) -> NDArray[np.int32]:
+        """Spans of a band that holds every voxel: (nx, ny, 2), first and last but one in z."""
         nx, ny, depth = self.u.shape
         return np.broadcast_to(np.array([1, depth - 1], dtype=np.int32), (nx, ny, 2)).copy()
 

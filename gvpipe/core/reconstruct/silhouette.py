@@ -9,27 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.reconstruct.background import (
-    GroundBehind,
+    WELL_SEEN,
     GroundModel,
     GroundWitnesses,
     Mask,
     rendered_background,
 )
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.foreground import GAIN_LIMIT, compared, cut_out
 from gvpipe.core.reconstruct.ghosts import without_ghosts
 from gvpipe.core.reconstruct.hiding import bodies_seen, hidden_ground, tolerant_solids
-from gvpipe.core.reconstruct.likeness import (
-    Features,
-    GroundNoise,
-    difference,
-    features,
-    learn_noise,
-    without_gloss,
-)
+from gvpipe.core.reconstruct.likeness import difference, learn_noise
 from gvpipe.core.reconstruct.photometry import levelled
 from gvpipe.core.reconstruct.raised import raised_surfaces
-from gvpipe.core.reconstruct.segmentation import colour_gain, segment, without_specks
-from gvpipe.core.reconstruct.views import below_horizon, reduced
+from gvpipe.core.reconstruct.views import reduced
 from gvpipe.core.types import PosedView
 
 FIRST_SCALE = 20.0
@@ -44,42 +37,6 @@ CALIBRATION_VIEWS = 5
 TAIL_SHARE, TAIL_FACTOR = 0.6, 2.5
 """Quantile of the differences that is ground even where obstacles fill a third of the pictures,
 and its multiple at which obstacle and ground are equally likely."""
-
-GAIN_LIMIT = 1.5
-"""Largest log odds of one pixel: texture that happens to match must not outvote its area."""
-
-PLAIN_SHARE = 0.5
-"""Share of the log odds for ground that equal colour has without texture found again: neighbours
-of one colour are no independent witnesses, and obstacles may have it too."""
-
-HALF_SUPPORT = 0.7
-"""Weight of agreeing views at which the ground behind a pixel is half certain."""
-
-FIRST_LEARNING = 2
-"""Times the colours of the first silhouette are learnt and applied: an obstacle's lower part,
-taken for ground at first, joins the upper one by its colour."""
-
-FIRST_GROUND_LIMIT = 0.4
-"""Largest log odds for ground while those colours are applied: a difference from the ground
-seldom lies, but what looks like ground may be an obstacle that all views see in its place."""
-
-AGREEING_SHARE = 0.4
-"""Share of the open views that must agree for the ground behind a pixel to be certain."""
-
-LEAST_OPEN = 0.5
-"""Weight of views from which nothing known hides the ground, from which on it counts as seen."""
-
-LEAST_GAIN = 0.5
-"""Mean measured log odds, over a silhouette's pixels with ground seen behind, of an obstacle."""
-
-FIRST_SHARE = 0.2
-"""Share of a first silhouette, where ground is seen behind, that must differ that much."""
-
-SPECK_SHARE = 0.02
-"""Side of the smallest part or hole of a silhouette, as a share of the picture's width."""
-
-SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-"""Pixels by which the comparison window smears an obstacle's difference over its outline."""
 
 
 def count_steps(views: Sequence[PosedView], options: EvidenceOptions) -> int:
@@ -149,7 +106,21 @@ def silhouettes(
 
 
 def colour_silhouette(view: PosedView, ground: GroundModel, colour_scale: float) -> Silhouette:
-    """Compare a view with the ground model colour by colour (thesis eqs. 5.6.1 and 5.6.2)."""
+    """Compare a view with the ground model colour by colour (thesis eqs. 5.6.1 and 5.6.2).
+
+    Parameters
+    ----------
+    view : PosedView
+    ground : GroundModel
+        The ground without obstacles.
+    colour_scale : float
+        Difference, levels, at which the probability reaches 63 %.
+
+    Returns
+    -------
+    silhouette : (H, W) float32
+        Probability that a pixel shows an obstacle, NaN where the ground is not known.
+    """
     background = rendered_background(view, ground)
     squared = ((view.pixels - background.colour) ** 2).sum(axis=-1)
     probability = -np.expm1(-squared / colour_scale**2)
@@ -166,7 +137,7 @@ def _colour_scale(witnesses: GroundWitnesses) -> float:
     distances = []
     for k in _spread(len(witnesses.views), CALIBRATION_VIEWS):
         seen = witnesses.behind(k, FIRST_SCALE)
-        known = seen.open_weight > 1.5
+        known = seen.open_weight > WELL_SEEN
         off = witnesses.views[k].pixels[known] - seen.colour[known]
         if len(off):
             distances.append(float(np.median(np.sqrt((off**2).sum(axis=-1)))))
@@ -186,7 +157,7 @@ def _round(
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
     asked = dict(zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True))
     samples = [
-        _compared(witnesses.views[k], seen).pick(_every_other(seen.open_weight > 1.5))
+        compared(witnesses.views[k], seen).pick(_every_other(seen.open_weight > WELL_SEEN))
         for k, seen in asked.items()
     ]
     noise = learn_noise(samples)
@@ -201,7 +172,7 @@ def _round(
         seen = seen or witnesses.behind(index, scale)
         size = (view.camera.width, view.camera.height)
         extra = GAIN_LIMIT * cv2.resize(raised[index], size) if raised else np.zeros(1, np.float32)
-        return _silhouette(view, seen, noise, replace(options, odds=even), extra, first)
+        return cut_out(view, seen, noise, replace(options, odds=even), extra, first)
 
     return [_told(shape, on_step) for shape in pool.map(one, range(len(witnesses.views)))]
 
@@ -212,86 +183,8 @@ def _told(shape: Silhouette, on_step: Callable[[], object]) -> Silhouette:
     return shape
 
 
-def _compared(view: PosedView, seen: GroundBehind) -> Features:
-    """Compare a view with the ground in the view's own light."""
-    ground = without_gloss(view.pixels, seen.colour, seen.support)
-    return features(view.pixels, ground, seen.support > 0)
-
-
 def _every_other(where: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Keep a quarter of the pixels: every other one of every other row."""
     thin = np.zeros_like(where)
     thin[1::2, 1::2] = where[1::2, 1::2]
     return thin
-
-
-def _silhouette(
-    view: PosedView,
-    seen: GroundBehind,
-    noise: GroundNoise,
-    options: EvidenceOptions,
-    extra: NDArray[np.float32],
-    first: bool,
-) -> Silhouette:
-    """Cut one view into obstacle and ground."""
-    known = seen.support > 0
-    measured = _measured_gain(view, seen, noise, options, first)
-    hidden = (seen.total_weight > 1.5) & (seen.open_weight < 0.3 * seen.total_weight)
-    gain = measured + options.hidden_gain * hidden.astype(np.float32) + extra
-    region = segment(gain, view.pixels, options.outline)
-    if first:
-        weights = [options.first_colour_gain] * FIRST_LEARNING
-        unsure = np.ones_like(gain)
-        gain = np.maximum(gain, -FIRST_GROUND_LIMIT)
-    else:  # by now colours decide only where the ground behind is not known
-        weights, unsure = [options.colour_gain], 1 - np.clip(seen.support, 0, 1)
-    for weight in weights:
-        learnt = colour_gain(view.pixels, region, known, GAIN_LIMIT)
-        region = segment(gain + weight * unsure * learnt, view.pixels, options.outline)
-    region = without_specks(region, round((SPECK_SHARE * view.camera.width) ** 2))
-    unknown = ~(known & below_horizon(view)) & (region <= 0.5)
-    if first:  # an obstacle's foot, which all views see in its place, does not differ yet
-        unknown |= _guessed(region, (measured > LEAST_GAIN).astype(np.float32), seen, FIRST_SHARE)
-    else:
-        unknown |= _guessed(region, measured, seen, LEAST_GAIN)
-    return np.where(unknown, np.nan, region).astype(np.float32)
-
-
-def _guessed(
-    region: Silhouette,
-    measured: NDArray[np.float32],
-    seen: GroundBehind,
-    least: float,
-) -> NDArray[np.bool_]:
-    """Parts of a region that hardly differ from ground that other views do see there.
-
-    They were filled in by colours, or because earlier rounds thought the ground hidden: guesses
-    that would prove each other. Their mean of `measured` there is `least` or less.
-    """
-    bare = seen.open_weight > LEAST_OPEN
-    count, labels = cv2.connectedComponents((region > 0.5).astype(np.uint8), connectivity=4)
-    pixels = np.bincount(labels[bare], minlength=count)
-    total = np.bincount(labels[bare], weights=measured[bare], minlength=count)
-    guessed = total <= least * pixels
-    guessed[0] = False
-    found: NDArray[np.bool_] = guessed[labels]
-    return found
-
-
-def _measured_gain(
-    view: PosedView, seen: GroundBehind, noise: GroundNoise, options: EvidenceOptions, first: bool
-) -> NDArray[np.float32]:
-    """Log odds from the difference between the picture and the ground seen by others."""
-    known = seen.support > 0
-    off, recognised = difference(_compared(view, seen), noise)
-    eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
-    odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
-    odds = np.where(odds < 0, odds * (PLAIN_SHARE + (1 - PLAIN_SHARE) * recognised), odds)
-    agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
-    agreeing = np.clip(agreeing, 0, 1)
-    certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
-    # views thought not to see the ground that still agree on its texture do see it
-    certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
-    if not first:  # where most views see a body, gloss on it may pass for ground, texture will not
-        certain = np.where(seen.solid & (odds < 0), recognised * agreeing, certain)
-    return np.where(known, odds * certain, 0).astype(np.float32)

@@ -58,6 +58,11 @@ class Slabs:
             Work at each index of the first axis.
         function : callable
             Takes the slab's bounds.
+
+        Returns
+        -------
+        results : list
+            One a slab.
         """
         if self._pool is None:
             return [function(0, len(work))]

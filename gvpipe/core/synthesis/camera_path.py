@@ -87,6 +87,18 @@ def shared_ground(camera: Camera, map_from_i: Pose, map_from_j: Pose) -> float:
     """Share of the ground in picture i that picture j shows too, 0 to 1.
 
     Counted in pixels of i, up to :data:`RANGE_HEIGHTS`; what solids hide is not counted out.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of both.
+    map_from_i, map_from_j : Pose
+        Where they are, metres.
+
+    Returns
+    -------
+    share : float
+        0 if i shows no ground.
     """
     u, v = np.meshgrid(np.arange(0, camera.width, 8.0), np.arange(0, camera.height, 8.0))
     pixels = np.column_stack([u.ravel(), v.ravel()])

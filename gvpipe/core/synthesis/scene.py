@@ -95,6 +95,10 @@ def make_scene(
         Length after which the ground repeats, metres.
     light : Light, optional
         Illumination.
+
+    Returns
+    -------
+    scene : Scene
     """
     skins = [ground]
     if solids:  # more contrast than the ground, so that a solid stands out from any floor
@@ -129,6 +133,10 @@ def photograph(
         Rays along each side of a pixel.
     light_samples : int
         Rays to the sun and to the sky at each surface point.
+
+    Returns
+    -------
+    picture : Picture
     """
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     total = np.zeros((camera.height * camera.width, 3))

@@ -72,15 +72,18 @@ def _prism(outline: Float) -> tuple[Float, NDArray[np.int32]]:
 
 
 def _box() -> tuple[Float, NDArray[np.int32]]:
+    """Cube of unit sides."""
     return _prism(np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]))
 
 
 def _circle() -> Float:
+    """Circle of unit diameter, (SIDES, 2), counter-clockwise."""
     angle = 2 * np.pi * np.arange(SIDES) / SIDES
     return 0.5 * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _cylinder() -> tuple[Float, NDArray[np.int32]]:
+    """Cylinder of unit diameter and height."""
     return _prism(_circle())
 
 

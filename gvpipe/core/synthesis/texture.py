@@ -110,6 +110,10 @@ def pyramid(textures: list[Image], periods: list[float]) -> Pyramid:
         Periodic pictures.
     periods : list of float
         Metres after which each repeats.
+
+    Returns
+    -------
+    pyramid : Pyramid
     """
     sizes = SIZE >> np.arange(int(np.log2(SIZE)) + 1)
     starts = np.concatenate([[0], np.cumsum(sizes**2)[:-1]])
