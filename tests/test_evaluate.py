@@ -12,6 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from gvpipe.cli import run
 from gvpipe.commands.trajectories import Trajectory, associate, read_trajectory
+from gvpipe.core.evaluation.homography_error import (
+    LOST_PX,
+    ground_homography,
+    homography_errors,
+)
+from gvpipe.core.evaluation.homography_error import common_ground as shared_pixels
 from gvpipe.core.evaluation.mesh_error import Surface, sample_surface, surface_errors, volume_iou
 from gvpipe.core.evaluation.trajectory_error import (
     Alignment,
@@ -22,9 +28,11 @@ from gvpipe.core.evaluation.trajectory_error import (
     relative_errors,
     statistics,
 )
+from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply, transfer_errors
+from gvpipe.core.geometry.pose import planar_pose
 from gvpipe.core.synthesis.solids import Solid
-from gvpipe.core.types import Pose, Rejected
+from gvpipe.core.types import Mount, Pose, Rejected
 from gvpipe.errors import InputError
 from gvpipe.formats.calibration import Calibration
 from gvpipe.formats.colmap import (
@@ -340,6 +348,29 @@ def test_mesh_command(tmp_path: Path) -> None:
     (tmp_path / "bad.ply").write_text("ply\nnonsense")
     assert run(["evaluate", "mesh", str(tmp_path / "bad.ply"), files[0]]) == 4
     assert run(["evaluate", "mesh", *files, "--poses", files[0]]) == 2
+
+
+def test_homography_errors_are_the_pixels_by_which_the_ground_is_off() -> None:
+    i = CAMERA, planar_pose(0.0, 0.0, 0.0, Mount(0.6, 0.05, 0.6))
+    j = CAMERA, planar_pose(0.2, 0.1, 0.3, Mount(0.7, -0.02, 0.5))
+    pixels = shared_pixels(i, j)
+    true = ground_homography(i, j)
+    ground = np.linalg.inv(pixel_from_plane(*i))
+    np.testing.assert_allclose(
+        apply(true, pixels), apply(pixel_from_plane(*j), apply(ground, pixels)), atol=1e-9
+    )
+    assert homography_errors(true, i, j, pixels).max() < 1e-9
+    shift = np.array([[1.0, 0.0, 3.0], [0.0, 1.0, -4.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(homography_errors(shift @ true, i, j, pixels), 5.0, atol=1e-9)
+    lost = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    assert (homography_errors(lost, i, j, pixels) == LOST_PX).all()
+    # what both see is near, below the horizon and in both pictures
+    assert len(pixels) > 400
+    seen = apply(true, pixels)
+    assert (seen >= 0).all()
+    assert (seen <= [CAMERA.width - 1, CAMERA.height - 1]).all()
+    behind = CAMERA, planar_pose(-5.0, 0.0, np.pi, Mount(0.7, 0.0, 0.5))
+    assert not len(shared_pixels(i, behind))
 
 
 def test_homography_command(chain: TinySet, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from gvpipe.artefacts import read_artefact
 from gvpipe.commands.output import finish
 from gvpipe.commands.trajectories import Trajectory, associate, paired, read_trajectory
+from gvpipe.core.evaluation.homography_error import common_ground, homography_errors
 from gvpipe.core.evaluation.trajectory_error import (
     Alignment,
     Errors,
@@ -18,19 +19,11 @@ from gvpipe.core.evaluation.trajectory_error import (
     relative_errors,
     statistics,
 )
-from gvpipe.core.geometry.ground import pixel_from_plane
-from gvpipe.core.geometry.homography import apply
-from gvpipe.core.types import Camera, Float, Pose, Rejected
+from gvpipe.core.types import Rejected
 from gvpipe.errors import InputError
 from gvpipe.names import escape
 from gvpipe.records import MatchBody
 from gvpipe.report import Reporter
-
-GRID_PX = 8.0
-"""Homographies are compared at ground pixels this far apart."""
-
-RANGE_HEIGHTS = 8.0
-"""Ground farther than this many camera heights away does not count: a pixel there is metres."""
 
 
 def trajectory(
@@ -160,14 +153,12 @@ def homography(match: Path, truth: Path, *, json_path: Path | None, reporter: Re
         if row.image_i not in where or row.image_j not in where:
             continue
         i, j = where[row.image_i], where[row.image_j]
-        points = common_ground(true.cameras[i], true.poses[i], true.cameras[j], true.poses[j])
+        view_i, view_j = ((true.cameras[k], true.poses[k]) for k in (i, j))
+        points = common_ground(view_i, view_j)
         entry: dict[str, Any] = {"image_i": row.image_i, "image_j": row.image_j}
         entry |= {"status": row.status, "common_px": len(points)}
         if row.H is not None and len(points):
-            wanted = _ground_homography(true, i, j)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                errors = np.linalg.norm(apply(row.H, points) - apply(wanted, points), axis=1)
-            errors = np.where(np.isfinite(errors), errors, 1e9)
+            errors = homography_errors(row.H, view_i, view_j, points)
             entry |= {f"{k}_px": v for k, v in statistics(errors).items() if k != "sse"}
         rows.append(entry)
     if not rows:
@@ -184,33 +175,3 @@ def homography(match: Path, truth: Path, *, json_path: Path | None, reporter: Re
     if wrong:
         table.append(("false", f"{wrong} matched though they share no ground"))
     finish("evaluate homography", table, document, json_path, reporter)
-
-
-def _ground_homography(true: Trajectory, i: int, j: int) -> Float:
-    """Pixels of i to pixels of j for the ground z = 0."""
-    assert true.cameras is not None  # the caller has looked
-    pixel_from_i = pixel_from_plane(true.cameras[i], true.poses[i])
-    return np.asarray(
-        pixel_from_plane(true.cameras[j], true.poses[j]) @ np.linalg.inv(pixel_from_i)
-    )
-
-
-def common_ground(camera_i: Camera, pose_i: Pose, camera_j: Camera, pose_j: Pose) -> Float:
-    """Pixels of i, (N, 2), whose ground both cameras see, nearer than :data:`RANGE_HEIGHTS`."""
-    u, v = np.meshgrid(
-        np.arange(0, camera_i.width, GRID_PX), np.arange(0, camera_i.height, GRID_PX)
-    )
-    pixels = np.column_stack([u.ravel(), v.ravel()])
-    ground_from_i = np.linalg.inv(pixel_from_plane(camera_i, pose_i)).astype(np.float64)
-    below = pixels @ ground_from_i[2, :2] + ground_from_i[2, 2] > 1e-9
-    pixels = pixels[below]
-    points = apply(ground_from_i, pixels)
-    pixel_from_ground = pixel_from_plane(camera_j, pose_j)
-    depth = points @ pixel_from_ground[2, :2] + pixel_from_ground[2, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        seen = apply(pixel_from_ground, points)
-    inside = (seen >= 0).all(axis=1) & (seen <= [camera_j.width - 1, camera_j.height - 1]).all(
-        axis=1
-    )
-    away = np.linalg.norm(points - pose_i.translation[:2], axis=1)
-    return pixels[(depth > 0) & inside & (away < RANGE_HEIGHTS * pose_i.translation[2])]
