@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gvpipe.commands.calibrate import GroundCalibration
+from gvpipe.commands.ground_calibration import GroundCalibration
 from gvpipe.formats.calibration import Calibration
 from gvpipe.formats.calibration_writers import format_gvpipe
 from gvpipe.formats.strict_yaml import format_value
