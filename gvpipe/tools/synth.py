@@ -2,12 +2,38 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gvpipe.errors import UsageError
 from gvpipe.tools.options import LogJson, Quiet, Verbose, option
+
+if TYPE_CHECKING:  # loaded late: the command line stays quick
+    from gvpipe.core.synthesis.solids import Solid
+    from gvpipe.core.types import Camera
+
+
+Folder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="New folder for pictures, truth and CONFIG.")
+]
+PathName = Annotated[
+    str, option("--path", "circle, line, mower (to and fro), or a TUM file of camera poses.")
+]
+Radius = Annotated[
+    float | None,
+    option(
+        "--radius",
+        "Of the circle, metres.",
+        min=0.01,
+        show_default="the camera looks at its middle",
+    ),
+]
+Boxes = Annotated[
+    list[str] | None, option("--box", "X,Y,WIDTH,DEPTH,HEIGHT[,YAW]; may be repeated.")
+]
+Cylinders = Annotated[list[str] | None, option("--cylinder", "X,Y,RADIUS,HEIGHT; may be repeated.")]
+Spheres = Annotated[list[str] | None, option("--sphere", "X,Y,RADIUS; may be repeated.")]
 
 
 def add(app: typer.Typer) -> None:
@@ -32,6 +58,15 @@ def _size(text: str) -> tuple[int, int]:
     return size
 
 
+def _camera(size: str, fov_deg: float) -> "Camera":
+    """Centre a lens of a horizontal field of view on pictures of a size."""
+    from gvpipe.core.types import Camera
+
+    width, height = _size(size)
+    focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
 def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
     """Read numbers between commas."""
     try:
@@ -44,24 +79,26 @@ def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]
     return values
 
 
+def _solids(given: dict[str, list[str]], *, empty: bool) -> "tuple[Solid, ...]":
+    """Read what stands on the ground: one of each kind if nothing is said."""
+    from gvpipe.commands.scene_plan import default_solids, parse_solid
+    from gvpipe.core.synthesis.solids import KINDS
+
+    said = [(kind, text) for kind in KINDS for text in given[kind]]
+    if empty and said:
+        raise UsageError("--empty excludes --box, --cylinder and --sphere")
+    if empty:
+        return ()
+    solids = tuple(parse_solid(kind, text, k) for k, (kind, text) in enumerate(said))
+    return solids or default_solids()
+
+
 def synth(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="New folder for pictures, truth and CONFIG.")
-    ],
-    path: Annotated[
-        str, option("--path", "circle, line, mower (to and fro), or a TUM file of camera poses.")
-    ] = "circle",
+    folder: Folder,
+    path: PathName = "circle",
     images: Annotated[int, option("--images", "Pictures in all.", min=1, max=9999)] = 12,
     robots: Annotated[int, option("--robots", "Robots that share the path.", min=1, max=26)] = 1,
-    radius: Annotated[
-        float | None,
-        option(
-            "--radius",
-            "Of the circle, metres.",
-            min=0.01,
-            show_default="the camera looks at its middle",
-        ),
-    ] = None,
+    radius: Radius = None,
     spacing: Annotated[
         float, option("--spacing", "Between stops, and rows of the mower, metres.", min=0.001)
     ] = 0.25,
@@ -85,13 +122,9 @@ def synth(
     distortion: Annotated[
         str, option("--distortion", "Lens, OpenCV order: k1,k2,p1,p2[,k3].")
     ] = "",
-    box: Annotated[
-        list[str] | None, option("--box", "X,Y,WIDTH,DEPTH,HEIGHT[,YAW]; may be repeated.")
-    ] = None,
-    cylinder: Annotated[
-        list[str] | None, option("--cylinder", "X,Y,RADIUS,HEIGHT; may be repeated.")
-    ] = None,
-    sphere: Annotated[list[str] | None, option("--sphere", "X,Y,RADIUS; may be repeated.")] = None,
+    box: Boxes = None,
+    cylinder: Cylinders = None,
+    sphere: Spheres = None,
     empty: Annotated[
         bool, option("--empty", "Nothing stands on the ground; else one of each.")
     ] = False,
@@ -106,24 +139,14 @@ def synth(
     log_json: LogJson = False,
 ) -> None:
     """Render photographs of a made-up scene, to plan a capture or to test."""
-    from gvpipe.commands.scene_plan import Plan, default_solids, parse_solid
+    from gvpipe.commands.scene_plan import Plan
     from gvpipe.commands.synth import run
-    from gvpipe.core.synthesis.solids import KINDS
-    from gvpipe.core.types import Camera, Mount
+    from gvpipe.core.types import Mount
     from gvpipe.report import Reporter
 
-    width, rows_px = _size(size)
-    focal = 0.5 * width / math.tan(math.radians(fov) / 2)
-    given = [
-        (kind, text)
-        for kind in KINDS
-        for text in {"box": box, "cylinder": cylinder, "sphere": sphere}[kind] or ()
-    ]
-    if empty and given:
-        raise UsageError("--empty excludes --box, --cylinder and --sphere")
-    solids = tuple(parse_solid(kind, text, k) for k, (kind, text) in enumerate(given))
+    given = {"box": box or [], "cylinder": cylinder or [], "sphere": sphere or []}
     plan = Plan(
-        solids=() if empty else solids or default_solids(),
+        solids=_solids(given, empty=empty),
         ground=ground,
         path=path,
         images=images,
@@ -131,7 +154,7 @@ def synth(
         rows=rows,
         radius=radius or height / math.tan(math.radians(min(tilt, 80.0))),
         spacing=spacing,
-        camera=Camera(width, rows_px, focal, focal, (width - 1) / 2, (rows_px - 1) / 2),
+        camera=_camera(size, fov),
         distortion=_numbers("--distortion", distortion, (0, 4, 5, 8)),
         mount=Mount(math.radians(tilt), math.radians(roll), height),
         shake=math.radians(shake),
