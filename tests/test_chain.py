@@ -14,9 +14,11 @@ import pytest
 import trimesh
 
 from gvpipe.cli import run
+from gvpipe.core.geometry.homography import apply, transfer_errors
 from gvpipe.core.mosaic.occupancy import OCCUPIED
 from gvpipe.formats.occupancy import read_pgm
 from tests.conftest import BOX_HIGH, STAGES, TinySet, make_tiny_set
+from tests.synthetic import CAMERA, common_ground, true_homography
 
 HEADER = {
     "schema",
@@ -109,10 +111,17 @@ def test_all_pairs_match_and_are_right(chain: TinySet) -> None:
     with np.load(chain.out() / "match" / "match.npz", allow_pickle=False) as arrays:
         for k, row in enumerate(rows):
             assert len(arrays[f"{k}/points_i"]) == row["inliers"]
+    for row in rows:
+        i, j = chain.poses[row["image_i"]], chain.poses[row["image_j"]]
+        true = true_homography(i, j, CAMERA, CAMERA)
+        points = common_ground(true, i, CAMERA, CAMERA)
+        assert transfer_errors(np.array(row["H"]), points, apply(true, points)).mean() < 1.0
 
 
 def test_motions_are_true(chain: TinySet) -> None:
-    for row in chain.document("localize")["motions"]:
+    rows = chain.document("localize")["motions"]
+    assert len(rows) == len(chain.document("match")["pairs"])
+    for row in rows:
         i, j = chain.poses[row["image_i"]], chain.poses[row["image_j"]]
         j_from_i = j.inverse() @ i
         assert np.abs(np.array(row["R"]) - j_from_i.rotation).max() < 0.03

@@ -71,6 +71,7 @@ def test_any_function_gives_a_watertight_mesh(blur: float) -> None:
     u = ndimage.gaussian_filter(rng.normal(size=(24, 20, 16)), blur).round(1).astype(np.float32)
     grid = VoxelGrid.over(np.array([0.0, 0.0, 0.0]), np.array([0.24, 0.2, 0.16]), u.shape)
     for mesh in (surface(u, grid), join([o.mesh for o in find_obstacles(u, grid, 0.0)])):
+        assert len(mesh.faces) > 100
         assert as_trimesh(mesh).is_winding_consistent
         assert as_trimesh(mesh).is_watertight
         # and for readers of our single precision files that merge equal vertices

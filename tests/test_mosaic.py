@@ -178,23 +178,20 @@ def test_half_is_the_printed_rule():
 
 
 def test_best_takes_the_view_with_the_highest_density():
-    near = posed("A/near", 0.0, 0.0, 0)
-    far = posed("A/far", -1.0, 0.0, 0, tilt_deg=30)
-    near = PosedView("A/near", np.full_like(near.pixels, 200), CAMERA, near.map_from_camera)
-    far = PosedView("A/far", np.full_like(far.pixels, 100), CAMERA, far.map_from_camera)
-    raster = plan_raster([near, far], RESOLUTION)
-    mosaic = compose([far, near], raster, BLENDS["best"])
-    for v, u in np.argwhere(mosaic.views == 2)[::97]:
-        ground = apply(raster.map_from_pixel, np.array([[u, v]], float))
-        density = [
-            abs(
-                np.linalg.det(
-                    local_jacobian(pixel_from_plane(CAMERA, w.map_from_camera), ground)[0]
-                )
-            )
-            for w in (near, far)
-        ]
-        assert mosaic.rgba[v, u, 0] == (200 if density[0] > density[1] else 100)
+    here, there = posed("A/here", 0.0, 0.0, 0), posed("A/there", 1.5, 0.1, 180, tilt_deg=35)
+    here = PosedView("A/here", np.full_like(here.pixels, 200), CAMERA, here.map_from_camera)
+    there = PosedView("A/there", np.full_like(there.pixels, 100), CAMERA, there.map_from_camera)
+    raster = plan_raster([here, there], RESOLUTION)
+    mosaic = compose([there, here], raster, BLENDS["best"])
+    places = np.argwhere(mosaic.views == 2)[::97]
+    ground = apply(raster.map_from_pixel, places[:, ::-1].astype(float))
+    density = [
+        np.abs(np.linalg.det(local_jacobian(pixel_from_plane(CAMERA, w.map_from_camera), ground)))
+        for w in (here, there)
+    ]
+    taken = mosaic.rgba[*places.T, 0]
+    np.testing.assert_array_equal(taken, np.where(density[0] > density[1], 200, 100))
+    assert {100, 200} == set(taken.tolist())
 
 
 def test_nothing_is_seen_beyond_the_depth_limit():

@@ -73,9 +73,13 @@ def test_a_region_in_which_nothing_stands_can_be_written(tmp_path: Path) -> None
     )
     floor = GroundModel(np.full((10, 10, 4), 200, np.uint8), np.eye(3))
     assert find_obstacles(solution.u, GRID) == []
-    write_scene(Scene((SolvedRegion(GRID, solution),), (), tuple(VIEWS), floor), tmp_path)
-    write_scene(Scene((), (), tuple(VIEWS), floor), tmp_path)
-    assert len(trimesh.load(tmp_path / "obstacles.glb").geometry) == 0
+    for k, regions in enumerate([(SolvedRegion(GRID, solution),), ()]):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        write_scene(Scene(regions, (), tuple(VIEWS), floor), folder)
+        assert len(trimesh.load(folder / "obstacles.glb").geometry) == 0
+        with np.load(folder / "volume.npz", allow_pickle=False) as volume:
+            assert not (volume["u"] > 0).any()
 
 
 def falling_ball(grid: VoxelGrid, radius: float) -> NDArray[np.float32]:
