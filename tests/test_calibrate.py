@@ -145,7 +145,7 @@ def test_the_ground_gives_focal_length_lens_and_tilts(lens: tuple[float, float],
     assert bend == pytest.approx(lens[0] * r**2 + lens[1] * r**4, abs=0.01)
 
 
-def test_the_number_of_jobs_cannot_matter_but_the_seed_may() -> None:
+def test_the_same_seed_gives_the_same_calibration() -> None:
     rng = np.random.default_rng(3)
     pairs = ground_matches([pose for pose, _ in carried(6, rng)], rng, (0.0, 0.0))
     runs = [self_calibrate(pairs, 6, (WIDTH, HEIGHT), np.random.default_rng(5)) for _ in range(2)]
