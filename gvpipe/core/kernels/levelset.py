@@ -1,4 +1,4 @@
-"""Loops of the level-set engine: evolution, redistancing, energy, change of resolution.
+"""The step of the level-set evolution, and the layout of arrays that all kernels of it share.
 
 Arrays are float32 and indexed [x, y, z]. Those named *padded* have one more voxel at either end of
 z that repeats its neighbour; along x and y borders are repeated by clamping. Each column (i, j) is
