@@ -13,10 +13,17 @@ from numpy.typing import NDArray
 from gvpipe.errors import InputError
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
+"""First bytes of every PNG."""
+
 COMPRESSION = 3
 """zlib level: photographs hardly shrink any further at higher ones, which cost five times more."""
+
 COLOUR_TYPES = {1: 0, 3: 2, 4: 6}
+"""PNG's number for grey, RGB and RGBA, by the channels they have."""
+
 FILTER_UP = 2
+"""PNG's number for rows that are given as differences from the one above."""
+
 ROWS_AT_ONCE = 64
 """Rows filtered and packed together: a few megabytes of a wide picture."""
 

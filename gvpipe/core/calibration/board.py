@@ -19,6 +19,7 @@ LEAST_TURN_DEG = 12.0
 """Boards that all lie within this of one direction leave the focal length open."""
 
 DICTIONARY = cv2.aruco.DICT_4X4_250
+"""Markers of ChArUco boards."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ CENTRE_SIGMA = 0.008
 """Standard deviation of the principal point about the middle, picture widths: 5 pixels of 640."""
 
 ITERATIONS = 60
+"""Steps at most."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ MOST_PLANES = 3
 """Planes looked for in a pair: the faces of things may hold more matches than the ground."""
 
 MAX_TRIALS = 5000
+"""Random samples for one plane, at most."""
 
 
 @dataclass(frozen=True)

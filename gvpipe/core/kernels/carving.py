@@ -13,6 +13,7 @@ Counts = np.ndarray[tuple[int, int, int], np.dtype[np.int32]]
 Occupancy = np.ndarray[tuple[int, int, int], np.dtype[np.bool_]]
 
 EMPTY, FULL, MIXED, UNSEEN = 0, 1, 2, 3
+"""What views say of a block: all background, all obstacle, some of both, nothing."""
 
 
 @kernel

@@ -11,8 +11,13 @@ from gvpipe.core.types import Float
 Index = NDArray[np.int64]
 
 FAR = 1e30
-LIFT = 1e-5  # metres by which a shadow ray starts off the surface that it leaves
+"""Distance of what a ray does not meet."""
+
+LIFT = 1e-5
+"""Metres by which a shadow ray starts off the surface that it leaves."""
+
 BOX, CYLINDER, SPHERE = 0, 1, 2
+"""Kinds of solids."""
 
 
 @kernel

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from gvpipe.core.kernels.mosaic import sample_view
 from gvpipe.core.mosaic.blend import Blend, Samples
-from gvpipe.core.mosaic.raster import MosaicRaster, Picture, PlacedIndex, max_depth, place
+from gvpipe.core.mosaic.raster import (
+    MosaicRaster,
+    Picture,
+    PlacedIndex,
+    max_depth,
+    place,
+    whole_from_part,
+)
 from gvpipe.core.mosaic.survey import Survey, survey
 from gvpipe.core.types import PosedView
 
@@ -203,7 +210,6 @@ class Composition:
         p = self._placed[k]
         if p is None:
             return
-        shift = np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
         camera = p.view.camera
         gain = falloff = 0.0
         clean, cells = ALL_CLEAN, np.array([0.0, 0.0, 0.0])
@@ -221,7 +227,7 @@ class Composition:
         sample_view(
             p.view.read(),
             *p.border,
-            p.pixel_from_raster @ shift,
+            p.pixel_from_raster @ whole_from_part(column, row),
             p.max_depth,
             lens,
             clean,

@@ -9,6 +9,8 @@ from gvpipe.core.types import Float
 Single = NDArray[np.float32]
 
 COLOUR_BINS = 16
+"""Bins along each of R, G and B, 16 levels wide."""
+
 LOCAL_SHARE = 0.9
 """Share of the ground within a tile or two in what is known of its colours; the rest is the whole
 map's. A rug is ground like any other once several views agree on some of it."""

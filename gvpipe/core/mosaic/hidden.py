@@ -88,6 +88,4 @@ def _sight(
 
 def _pixels(points: Float, raster: MosaicRaster) -> NDArray[np.int32]:
     """Nearest pixels of map points, (N, 2)."""
-    u = (points[:, 0] - raster.x_min) / raster.resolution
-    v = (raster.y_max - points[:, 1]) / raster.resolution
-    return np.rint(np.column_stack([u, v])).astype(np.int32)
+    return np.rint(raster.pixel_from_map(points)).astype(np.int32)

@@ -50,6 +50,12 @@ class MosaicRaster:
         m = self.resolution
         return np.array([[m, 0.0, self.x_min], [0.0, -m, self.y_max], [0.0, 0.0, 1.0]])
 
+    def pixel_from_map(self, points: Float) -> Float:
+        """Take (N, 2) map points in metres to pixels (u right, v down), fractions kept."""
+        u = (points[:, 0] - self.x_min) / self.resolution
+        v = (self.y_max - points[:, 1]) / self.resolution
+        return np.column_stack([u, v])
+
     def coarser(self, factor: int) -> "MosaicRaster":
         """Raster of cells of `factor` by `factor` pixels each, the first at pixel (0, 0)."""
         half = (factor - 1) / 2 * self.resolution
@@ -232,8 +238,7 @@ def place(
     points = outline(view, raster.resolution)
     if not len(points):
         return None
-    u = (points[:, 0] - raster.x_min) / raster.resolution
-    v = (raster.y_max - points[:, 1]) / raster.resolution
+    u, v = raster.pixel_from_map(points).T
     return PlacedView(
         view,
         pixel_from_plane(view.camera, view.map_from_camera) @ raster.map_from_pixel,
@@ -242,6 +247,11 @@ def place(
         (float(u.min()) - 0.5, float(v.min()) - 0.5, float(u.max()) + 0.5, float(v.max()) + 0.5),
         view.border() if border is None else border,
     )
+
+
+def whole_from_part(column: int, row: int) -> Float:
+    """(3, 3) matrix from pixels of a part to those of the whole; the part begins at a pixel."""
+    return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
 
 
 class PlacedIndex:

@@ -7,8 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gvpipe.core.kernels.survey import cell_colours
-from gvpipe.core.mosaic.raster import Border, MosaicRaster, Picture, PlacedView, place
-from gvpipe.core.types import Float
+from gvpipe.core.mosaic.raster import (
+    Border,
+    MosaicRaster,
+    Picture,
+    PlacedView,
+    place,
+    whole_from_part,
+)
 
 RADIUS_STEPS = 50.0
 """Steps of a stored radius in one; radii are squared distances from the image centre, in half
@@ -101,7 +107,7 @@ def take_sight(view: Picture, cells: MosaicRaster, depth: float) -> tuple[Placed
     cell_colours(
         view.read(),
         *border,
-        p.pixel_from_raster @ _shift(column, row),
+        p.pixel_from_raster @ whole_from_part(column, row),
         p.max_depth,
         np.array([view.camera.cx, view.camera.cy]),
         view.camera.width / 2,
@@ -156,8 +162,3 @@ def look_at(
             steps = sight.radii[there]
             radii[here] = np.where(steps < UNSEEN, steps / np.float32(RADIUS_STEPS), -1.0)
     return Look(column, row, views, colours, slopes, radii)
-
-
-def _shift(column: int, row: int) -> Float:
-    """Matrix from pixels of a part to those of the whole."""
-    return np.array([[1.0, 0.0, column], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
