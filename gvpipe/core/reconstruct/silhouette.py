@@ -84,8 +84,8 @@ def silhouettes(
     """
     if _by_mosaic(views, options):
         return [_told(colour_silhouette(v, ground, options.colour_scale), on_step) for v in views]
-    even = [replace(v, pixels=p) for v, p in zip(views, levelled(views), strict=True)]
-    small = GroundWitnesses([reduced(v) for v in even])
+    level = [replace(v, pixels=p) for v, p in zip(views, levelled(views), strict=True)]
+    small = GroundWitnesses([reduced(v) for v in level])
     scale = _colour_scale(small)
     with ThreadPoolExecutor(threads) as pool:
         hidden: list[Mask] = []
@@ -98,7 +98,7 @@ def silhouettes(
             solid = bodies_seen(small.views, solids, pool)
             small.hide(hidden, solid)
             raised = raised_surfaces(small.views, solids, threads)
-        full = GroundWitnesses(even)
+        full = GroundWitnesses(level)
         if hidden:
             full.hide(hidden, solid)
         shapes = _round(full, scale, options, raised, not hidden, pool, on_step)
