@@ -261,7 +261,7 @@ def _figures(meeting: _Meeting, distance: str) -> dict[str, bytes]:
     svg = curves_svg(title, label, meeting.images[1], curves)
     return {
         f"curves_{name}.svg": svg.encode(),
-        f"matrix_{name}.png": png_bytes(heat_map(meeting.distances[distance])),
+        f"matrix_{name}.png": png_bytes(heat_map(meeting.distances[distance], *meeting.robots)),
     }
 
 
