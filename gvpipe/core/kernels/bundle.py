@@ -1,12 +1,9 @@
 """Normal equations of cameras over a plane, the ground points eliminated."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 MIN_DEPTH = 1e-3
 """Observations whose point lies nearer to the camera plane than this, metres, count as behind."""

@@ -9,12 +9,9 @@ lie on top of it.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 STRIP, PANEL = 32, 192
 """Rows that are eliminated before the rest of their panel is updated in one product, and rows of a

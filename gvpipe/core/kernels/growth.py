@@ -3,12 +3,9 @@
 import heapq
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 
 @kernel

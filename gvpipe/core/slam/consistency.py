@@ -6,8 +6,8 @@ import numpy as np
 
 from gvpipe.core.kernels.growth import grow_map
 from gvpipe.core.slam.fronts import Blocks, Dissection, Factor
-from gvpipe.core.slam.placements import Index, Mask, Placements, disagreements, turned, wrapped
-from gvpipe.core.types import Float
+from gvpipe.core.slam.placements import Placements, disagreements, turned, wrapped
+from gvpipe.core.types import Float, Index, Mask
 
 CUT = 3.0
 """A link is cut where its two images place the shared ground this many tolerances apart."""

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.core.slam.rig import Rig, State, centres, orientation, turning
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Float
+from gvpipe.core.types import Float, Index
 
 SIGMA_PX = 1.0
 """How well a known point is pointed at in a picture, pixels: a careful click."""

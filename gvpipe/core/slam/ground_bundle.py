@@ -18,8 +18,8 @@ from gvpipe.core.slam.rig import (
     prior_normal,
     turning,
 )
-from gvpipe.core.slam.tracks import Index, Tracks
-from gvpipe.core.types import Float
+from gvpipe.core.slam.tracks import Tracks
+from gvpipe.core.types import Float, Index
 
 FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8

@@ -12,8 +12,7 @@ from gvpipe.core.geometry.twoview import PairPrior
 from gvpipe.core.kernels.links import fit_links, place_links
 from gvpipe.core.slam.links import Link, LinkSet, Matches
 from gvpipe.core.slam.placement import REWEIGHTINGS, place
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Camera, Float, Mount
+from gvpipe.core.types import Camera, Float, Index, Mount
 
 MIN_POINTS = 8
 """Matches below which a link is not used: four fix a homography, the rest must confirm it."""

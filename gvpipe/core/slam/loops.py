@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from gvpipe.core.geometry.ground import calibrations, pixels_from_plane
 from gvpipe.core.kernels.footprints import shared_footprints
-from gvpipe.core.slam.links import Index, robot_of
-from gvpipe.core.types import Camera, Float, Pose
+from gvpipe.core.slam.links import robot_of
+from gvpipe.core.types import Camera, Float, Index, Pose
 
 RANGE_HEIGHTS = 5.0
 """Ground farther away than this many camera heights is too coarse to match."""

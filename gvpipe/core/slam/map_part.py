@@ -13,8 +13,8 @@ from gvpipe.core.slam.correlation import judged_links, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import LinkSet
 from gvpipe.core.slam.rig import Rig, centres, orientation
-from gvpipe.core.slam.tracks import Index, Tracks, cell_tracks, chain_matches
-from gvpipe.core.types import Camera, Float, Mount, Pose
+from gvpipe.core.slam.tracks import Tracks, cell_tracks, chain_matches
+from gvpipe.core.types import Camera, Float, Index, Mount, Pose
 
 UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
 """Uncertainty of a tilt that was not configured, radians: next to nothing is known."""

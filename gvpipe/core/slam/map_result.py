@@ -8,9 +8,8 @@ import numpy as np
 from gvpipe.core.slam.closure import Closure, closures
 from gvpipe.core.slam.links import Link
 from gvpipe.core.slam.map_part import Part, Views
-from gvpipe.core.slam.placements import Mask
-from gvpipe.core.slam.tracks import Index, Tracks
-from gvpipe.core.types import Float, Pose
+from gvpipe.core.slam.tracks import Tracks
+from gvpipe.core.types import Float, Index, Mask, Pose
 
 
 @dataclass(frozen=True)

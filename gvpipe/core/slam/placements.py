@@ -3,12 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from gvpipe.core.types import Float, Index, Mask
 
 
 @dataclass(frozen=True)

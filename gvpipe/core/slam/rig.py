@@ -6,8 +6,7 @@ import numpy as np
 
 from gvpipe.core.geometry.pose import rotation_matrix
 from gvpipe.core.slam.fronts import Blocks
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Float
+from gvpipe.core.types import Float, Index
 
 
 @dataclass(frozen=True)
