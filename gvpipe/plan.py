@@ -49,7 +49,9 @@ def plan_stages(names: Sequence[str], session: Session, reporter: Reporter, *, f
     Raises
     ------
     InputError
-        If there is no usable picture, or a listed pair names one that is not there.
+        If there is no usable picture.
+    ConfigError
+        If the configuration names a picture that is not there.
     """
     times = [
         _plan_stage(name, session, reporter, force=force, before=names[:k])

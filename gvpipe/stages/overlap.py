@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
-from gvpipe.core.overlap.candidates import Candidate, candidates_among, shortlist
+from gvpipe.core.overlap.candidates import Candidate, candidate_pairs, shortlist
 from gvpipe.core.overlap.histogram import BINS, DISTANCES, ground_histogram
 from gvpipe.core.overlap.signature import (
     Signature,
@@ -185,7 +185,7 @@ def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iter
             for m, n in zip(i, j, strict=True)
         ]
         expected = np.array([expected_overlap(*pair) for pair in signatures])
-        candidates = candidates_among(i, j, near, settings.threshold, expected)
+        candidates = candidate_pairs(i, j, near, settings.threshold, expected)
         pairs = [(ids_a[c.i], ids_b[c.j]) for c in candidates]
         yield _Meeting((a, b), (ids_a, ids_b), distances, candidates, pairs)
 
