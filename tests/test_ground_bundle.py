@@ -16,8 +16,8 @@ from gvpipe.core.slam.rig import (
     Rig,
     Spread,
     State,
+    camera_from_map,
     centres,
-    orientation,
     pose_jacobians,
     rescaled,
     turning,
@@ -62,7 +62,7 @@ def test_orientation_derivatives_are_those_of_finite_differences() -> None:
         ahead, behind = cameras.copy(), cameras.copy()
         ahead[:, unknown] += step
         behind[:, unknown] -= step
-        difference = (orientation(rig, ahead) - orientation(rig, behind)) / (2 * step)
+        difference = (camera_from_map(rig, ahead) - camera_from_map(rig, behind)) / (2 * step)
         np.testing.assert_allclose(turned[:, slot], difference, atol=1e-8)
 
 
@@ -74,7 +74,7 @@ def test_pose_jacobians_are_those_of_finite_differences() -> None:
         ahead, behind = cameras.copy(), cameras.copy()
         ahead[:, unknown] += step
         behind[:, unknown] -= step
-        after, before = (orientation(rig, c).transpose(0, 2, 1) for c in (ahead, behind))
+        after, before = (camera_from_map(rig, c).transpose(0, 2, 1) for c in (ahead, behind))
         turn = Rotation.from_matrix(after @ before.transpose(0, 2, 1)).as_rotvec()
         numeric[:, :3, unknown] = turn / (2 * step)
         numeric[:, 3:, unknown] = (centres(rig, ahead) - centres(rig, behind)) / (2 * step)

@@ -12,8 +12,8 @@ from gvpipe.core.slam.rig import (
     Rig,
     Spread,
     State,
+    camera_from_map,
     centres,
-    orientation,
     prior_cost,
     prior_normal,
     turning,
@@ -62,9 +62,8 @@ class Problem:
 
     def initial_points(self, cameras: Float) -> Float:
         """Mean of where the observations of each track meet the ground, (T, 2) metres."""
-        rotation = orientation(self.rig, cameras)
         centre = centres(self.rig, cameras)
-        back = np.linalg.inv(self.rig.matrix @ rotation)
+        back = np.linalg.inv(self.rig.matrix @ camera_from_map(self.rig, cameras))
         seen = np.column_stack([self.tracks.pixel, np.ones(len(self.tracks.pixel))])
         ray = np.einsum("kij,kj->ki", back[self.tracks.camera], seen)
         c = centre[self.tracks.camera]
@@ -82,9 +81,8 @@ class Problem:
         return out
 
     def _robust_cost(self, state: State, loss_px: float, out: Float) -> float:
-        rotation = orientation(self.rig, state.cameras)
         return kernels.evaluate(
-            self.rig.matrix @ rotation,
+            self.rig.matrix @ camera_from_map(self.rig, state.cameras),
             centres(self.rig, state.cameras),
             self.tracks.camera,
             self.tracks.pixel,
@@ -163,7 +161,7 @@ class Problem:
         blocks, gradient = np.zeros((n + len(self._plan.i), 6, 6)), np.zeros((n, 6))
         elimination = np.empty((m, 6, 2)), np.empty((t, 2, 2)), np.empty((t, 2))
         kernels.linearise(
-            self.rig.matrix @ orientation(self.rig, state.cameras),
+            self.rig.matrix @ camera_from_map(self.rig, state.cameras),
             self.rig.matrix[:, None] @ turning(self.rig, state.cameras),
             centres(self.rig, state.cameras),
             self.tracks.camera,
