@@ -55,7 +55,7 @@ def test_a_closed_loop_closes(patrol: Scene) -> None:
     assert all(link.kept for link in result.links)
     longest = result.closures[0]
     assert longest.chain_links >= 15
-    assert longest.optimised_m < 0.5 * longest.concatenated_m
+    assert longest.adjusted_m < 0.5 * longest.concatenated_m
 
 
 def test_robots_meet_in_one_map(team: Scene) -> None:

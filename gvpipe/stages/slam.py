@@ -276,7 +276,7 @@ def _body(
                 image_i=closure.image_i,
                 image_j=closure.image_j,
                 concatenated_m=closure.concatenated_m,
-                adjusted_m=closure.optimised_m,
+                adjusted_m=closure.adjusted_m,
             )
             for closure in result.closures
         ),

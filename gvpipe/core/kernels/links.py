@@ -1,6 +1,7 @@
 """Two-view geometry of all links of a map: placement on the ground, then fit.
 
-Matches of all links lie one after the other: those of link e are ``start[e]:start[e + 1]``.
+Matches of all links lie one after the other: those of link e are ``start[e]:start[e + 1]``, pixels
+p (M, 2) in image i and q (M, 2) in image j; `ends` (E, 2) are the numbers of these images.
 """
 
 import numpy as np
@@ -47,8 +48,9 @@ def place_pair(
     Returns
     -------
     placement : (7,) float64
-        Centroids in either frame, heading of i minus that of j, radius, misfit; all NaN if fewer
-        than three matches, or than half of them, lie below both horizons.
+        Centroids in either frame (metres), heading of i minus that of j (radians), radius, misfit
+        (metres); all NaN if fewer than three matches, or than half of them, lie below both
+        horizons.
     """
     a, b = np.empty((len(p), 2)), np.empty((len(p), 2))
     n = 0
@@ -101,7 +103,8 @@ def place_links(
 ) -> Float:
     """Placements (E, 7) of all links, see :func:`place_pair`.
 
-    Tilt, roll and height `mount` (N, 3) and inverse calibrations (N, 3, 3) are by image.
+    Tilt, roll (radians) and height (metres) `mount` (N, 3) and inverse calibrations (N, 3, 3) are
+    by image.
     """
     out, ground = np.empty((len(ends), 7)), np.empty((len(mount), 3, 3))
     for k in range(len(mount)):
@@ -179,7 +182,7 @@ def fit_links(
     placement : (E, 7) float64
         Links whose placement is NaN are passed over.
     mount : (N, 3) float64
-        Tilt, roll and height of each image.
+        Tilt, roll (radians) and height (metres) of each image.
     matrix, inverse : (N, 3, 3) float64
         Calibrations and their inverses.
     prior_weight : (8,) float64

@@ -181,12 +181,14 @@ def _rig(views: Views, members: Index) -> Rig:
 
 def _shared(views: Views, members: Index, poses: list[Pose], slot: Index, linked: LinkSet) -> float:
     """How much the errors of matches have in common, from some of the links."""
-    cameras = [views.cameras[k] for k in members.tolist()]
-    plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
+
+    def pixel_from_map(k: int) -> Float:
+        return pixel_from_plane(views.cameras[members[k]], poses[k])
+
     some = judged_links(len(linked.links))
     ends = slot[linked.ends[some]].tolist()
     return shared_errors(
-        (plane[j] @ np.linalg.inv(plane[i]), link.points_i, link.points_j)
+        (pixel_from_map(j) @ np.linalg.inv(pixel_from_map(i)), link.points_i, link.points_j)
         for (i, j), link in zip(ends, linked.links[some], strict=True)
     )
 
