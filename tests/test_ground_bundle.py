@@ -6,12 +6,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from gvpipe.core.geometry.homography import apply, fit_linear, transfer_errors
-from gvpipe.core.geometry.pose import robot_from_camera, rotation_vector
+from gvpipe.core.geometry.pose import robot_from_camera
 from gvpipe.core.slam.adjustment import adjust, approach, begin
 from gvpipe.core.slam.correlation import JUDGED_LINKS, judged_links, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import Matches, matches_of
-from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
+from gvpipe.core.slam.location_graph import MapOptions, build_map
 from gvpipe.core.slam.rig import (
     Rig,
     Spread,
@@ -23,8 +23,8 @@ from gvpipe.core.slam.rig import (
     turning,
 )
 from gvpipe.core.slam.tracks import cell_tracks, chain_matches
-from gvpipe.core.types import Float, Mount, Pose
-from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
+from gvpipe.core.types import Float, Mount
+from tests.slam_scene import arc_path, errors, loop_path, make_scene, mapped, true_map
 
 
 def some_rig(count: int, rng: np.random.Generator) -> tuple[Rig, Float]:
@@ -36,21 +36,6 @@ def some_rig(count: int, rng: np.random.Generator) -> tuple[Rig, Float]:
         group=np.zeros(count, dtype=np.int64),
     )
     return rig, rng.normal(0.0, [0.2, 0.2, 0.2, 0.05, 0.05, 0.02], (count, 6))
-
-
-def errors(result: MapResult, truth: dict[str, Pose]) -> Float:
-    """Rotation vectors and translations (N, 6) from the estimated to the true poses."""
-    rows = []
-    for image, posed in result.poses.items():
-        estimate = posed.map_from_camera
-        turn = rotation_vector(truth[image].rotation @ estimate.rotation.T)
-        rows.append(np.append(turn, truth[image].translation - estimate.translation))
-    return np.array(rows)
-
-
-def mapped(scene: Scene, options: MapOptions | None = None) -> MapResult:
-    options = MapOptions() if options is None else options
-    return build_map(scene.cameras, scene.mounts, scene.order, scene.links, scene.order[0], options)
 
 
 def test_orientation_derivatives_are_those_of_finite_differences() -> None:

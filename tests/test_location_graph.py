@@ -13,12 +13,13 @@ from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import (
     Scene,
     arc_path,
+    errors,
     loop_path,
     make_scene,
+    mapped,
     replace_links,
     true_map,
 )
-from tests.test_ground_bundle import errors, mapped
 
 
 def rms_m(found: Float) -> float:
