@@ -121,7 +121,7 @@ def quaternions(poses: Sequence[Pose]) -> Float:
 
 
 def rotation_matrix(rotation_vector: Float) -> Float:
-    """Rotation matrix (3, 3), or several, of an axis times angle, (3,) radians."""
+    """Rotation matrices (..., 3, 3) of axes times angles (..., 3), radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix(), dtype=np.float64)

@@ -125,7 +125,15 @@ def _nearest_rotation(matrix: Float) -> Float:
 
 
 def choose(solutions: tuple[RelativePose, ...], normal_prior: Float) -> RelativePose:
-    """Pick the solution whose normal is nearest to the known one (thesis 4.2.1)."""
+    """Pick the solution whose normal is nearest to the known one (thesis 4.2.1).
+
+    Parameters
+    ----------
+    solutions : tuple of RelativePose
+        Of :func:`decompose`.
+    normal_prior : (3,) float64
+        Unit normal of the ground in camera i as configured, towards the ground.
+    """
     return max(solutions, key=lambda s: float(s.normal @ normal_prior))
 
 

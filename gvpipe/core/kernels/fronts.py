@@ -101,7 +101,7 @@ def _subtract(matrix: Float, begin: int, end: int, stop: int) -> None:
 
 
 @kernel
-def eliminate(matrix: Float, count: int) -> bool:
+def _eliminate(matrix: Float, count: int) -> bool:
     """Eliminate the first unknowns of a dense symmetric matrix, of which the upper half counts.
 
     Their rows become those of the Cholesky factor, the rest the Schur complement; False if the
@@ -180,7 +180,7 @@ def factor_fronts(
                 for b in range(a, len(slot)):
                     row[slot[b]] += stack[k + b]
                 k += len(slot)
-        if not eliminate(matrix, own):
+        if not _eliminate(matrix, own):
             return False, factors
         factors[tree.factor_first[f] : tree.factor_first[f + 1]] = matrix[:own].ravel()
         for a in range(own, len(matrix)):

@@ -14,7 +14,11 @@ from gvpipe.core.types import Float, Index
 
 @kernel
 def ground_from_pixel(tilt: float, roll: float, height: float, inverse_k: Float) -> Float:
-    """Homography (3, 3) from pixels to the robot's ground; its third component sees the horizon."""
+    """Homography (3, 3) from pixels to the robot's ground frame, metres.
+
+    Tilt and roll are in radians, the height in metres, `inverse_k` (3, 3) is the inverse
+    calibration; the third component is positive for pixels below the horizon.
+    """
     s, c, sr, cr = np.sin(tilt), np.cos(tilt), np.sin(roll), np.cos(roll)
     m = np.zeros((3, 3))
     m[0, 0], m[0, 1], m[0, 2] = -s * sr * height, -s * cr * height, c * height

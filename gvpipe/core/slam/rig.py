@@ -188,7 +188,17 @@ def prior_cost(rig: Rig, state: State, spread: Spread) -> float:
 def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[Blocks, Float]:
     """Return normal matrix and gradient (of half the cost) of the priors.
 
-    The means of the robots are the border; no cameras share a block.
+    Parameters
+    ----------
+    rig, state, spread : Rig, State, Spread
+        N cameras of G robots, where they are, and the priors.
+
+    Returns
+    -------
+    normal : Blocks
+        Cameras are the places, the means of the robots the border; no cameras share a block.
+    gradient : (6 N + 3 G,) float64
+        Cameras first.
     """
     n, groups = len(state.cameras), len(state.means)
     weight = 1.0 / spread.within[rig.group] ** 2
