@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from gvpipe.core.types import Rejected
 from gvpipe.errors import InputError
-from gvpipe.formats.files import read_regular_file
+from gvpipe.formats.files import file_sha256, read_regular_file
 from gvpipe.output import refuse_link, sync
 from gvpipe.records import Body, Header
 
@@ -107,12 +107,6 @@ def digest(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(canonical_json(kept).encode()).hexdigest()
 
 
-def file_sha256(path: Path) -> str:
-    """Hex sha256 of a file's bytes."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def read_artefact(folder: Path, body: type[B]) -> Artefact[B]:
     """Read and check one stage's JSON artefact.
 
@@ -147,7 +141,7 @@ def read_artefact(folder: Path, body: type[B]) -> Artefact[B]:
         file = folder / name
         if not re.fullmatch(r"[^/\x00]+", name) or not file.is_file():
             raise InputError(f"{file}: missing, though {path.name} lists it")
-        if file_sha256(file) != want:
+        if file_sha256(file)[0] != want:
             raise InputError(f"{file}: its content is not what {path.name} recorded")
     try:
         found = digest(document)
@@ -239,7 +233,7 @@ def publish(staged: Path, folder: Path, header: Header, body: Body) -> None:
     Each file appears whole by a rename within one file system. The JSON records the checksums of
     the others, so a run killed between two renames leaves an artefact that is seen to be stale.
     """
-    files = {p.name: file_sha256(p) for p in sorted(staged.iterdir())}
+    files = {p.name: file_sha256(p)[0] for p in sorted(staged.iterdir())}
     document = {
         **header.model_copy(update={"files": files}).model_dump(mode="json", by_alias=True),
         **body.model_dump(mode="json"),

@@ -8,11 +8,17 @@ from typing import Annotated
 import typer
 
 from gvpipe import __version__
-from gvpipe.errors import EXIT_CODES, GvpipeError, OutputError, ResourceError
+from gvpipe.errors import (
+    EXIT_CODES,
+    EXIT_DEFECT,
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    GvpipeError,
+    OutputError,
+    ResourceError,
+)
 from gvpipe.supervisor import Terminated, stopping
 from gvpipe.tools import add_commands
-
-EXIT_INTERRUPTED, EXIT_TERMINATED, EXIT_DEFECT = 130, 143, 1
 
 app = typer.Typer(
     name="gvpipe",

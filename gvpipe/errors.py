@@ -8,11 +8,14 @@ EXIT_CODES = (
     "6 the output cannot be written; 7 a resource limit was hit; 130 interrupted; 143 terminated."
 )
 
+EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 130, 143
+"""The codes that no expected failure has; the others stand with the errors below."""
+
 
 class GvpipeError(Exception):
     """Base of all expected failures; printed as one message, never as a traceback."""
 
-    exit_code: ClassVar[int] = 1
+    exit_code: ClassVar[int] = EXIT_DEFECT
 
 
 class UsageError(GvpipeError):

@@ -13,9 +13,12 @@ class FeatureStore:
     ----------
     most_bytes : int
         What it may hold.
-    """
 
-    # the most recent ones would all be gone when the next stage begins with the first picture
+    Notes
+    -----
+    Were the most recent ones kept instead, all that the next stage begins with would be gone: every
+    stage begins with the first picture.
+    """
 
     def __init__(self, most_bytes: int = STORE_BYTES):
         self._room = most_bytes

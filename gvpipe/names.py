@@ -29,7 +29,8 @@ def escape(name: str) -> str:
     -------
     escaped : str
         The same, with each byte of an unprintable character as ``%XX``. A ``%`` that already
-        stands before two hexadecimal digits becomes ``%25``, so that :func:`unescape` is exact.
+        stands before two hexadecimal digits becomes ``%25``, so that percent-decoding
+        (``urllib.parse.unquote(escaped, errors="surrogateescape")``) gives the name back.
     """
     out = []
     for k, character in enumerate(name):
@@ -46,14 +47,6 @@ def escape(name: str) -> str:
 def _is_byte(character: str) -> bool:
     """Whether the character stands for one undecodable byte of a file name."""
     return "\udc80" <= character <= "\udcff"
-
-
-def unescape(name: str) -> str:
-    """Undo :func:`escape`: the file name as the file system knows it."""
-    raw = re.sub(
-        rb"%([0-9A-Fa-f]{2})", lambda m: bytes([int(m[1], 16)]), name.encode("utf-8", "replace")
-    )
-    return raw.decode("utf-8", "surrogateescape")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

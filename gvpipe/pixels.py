@@ -19,7 +19,8 @@ from gvpipe.names import escape
 CACHE_BYTES = 96 << 20
 """Decoded pixels kept: a hundred images of 640x480, or two of 12 Mpx."""
 
-_OPEN_VIDEOS = 4  # one for each robot of a small team
+_ROBOTS = 4
+"""Videos kept open, and distortions kept tabulated: one for each robot of a small team."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class PixelStore:
             videos = self._state.videos
             reader = videos.pop(source.path, None) or VideoReader(source.path)
             videos[source.path] = reader
-            while len(videos) > _OPEN_VIDEOS:
+            while len(videos) > _ROBOTS:
                 videos.popitem(last=False)[1].close()
             frame = reader.read(source.frame)
         if isinstance(frame, Rejected):
@@ -114,6 +115,6 @@ class _State:
     video_lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-@lru_cache(maxsize=_OPEN_VIDEOS)
+@lru_cache(maxsize=_ROBOTS)
 def _table(camera: Camera, distortion: tuple[float, ...]) -> Undistortion:
     return undistortion(camera, distortion)

@@ -49,8 +49,10 @@ def plan_stages(names: Sequence[str], session: Session, reporter: Reporter, *, f
     Raises
     ------
     InputError
-        If there is no usable picture, or a listed pair names one that is not there; after all is
-        said, if a command could not run: the run would end with this error's exit code, too.
+        If there is no usable picture; after all is said, if a command could not run: the run would
+        end with this error's exit code, too.
+    ConfigError
+        If the configuration names a picture that is not there.
     """
     refusals: list[str] = []
     times = [

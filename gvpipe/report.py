@@ -1,4 +1,4 @@
-"""The only module that talks to the terminal: progress, tables, logs."""
+"""What a command says while it works and at its end: progress, tables, logs."""
 
 import json
 import logging

@@ -15,11 +15,13 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn
 
+from gvpipe.errors import EXIT_DEFECT, EXIT_INTERRUPTED, EXIT_TERMINATED, ResourceError
+
 GRACE_S = 1.5
 """Time to clean up after a signal; whoever sent it waits no longer than 2 s."""
 
-EXIT_DEFECT, EXIT_RESOURCE = 1, 7
 _SIGNALS: frozenset[signal.Signals] = frozenset({signal.SIGINT, signal.SIGTERM})
+_EXIT_CODES: dict[int, int] = {signal.SIGINT: EXIT_INTERRUPTED, signal.SIGTERM: EXIT_TERMINATED}
 
 
 class Terminated(BaseException):
@@ -72,15 +74,15 @@ def _exit_code(code: int, received: list[int], parting: str) -> int:
     if code and received:
         if parting:  # said here: the working process may have had to be killed
             _say(f"{'interrupted' if received[0] == signal.SIGINT else 'terminated'}; {parting}")
-        return 128 + received[0]
+        return _EXIT_CODES[received[0]]
     if code >= 0:
         return code
     name = signal.Signals(-code).name
     if -code == signal.SIGKILL:
         _say(f"killed by {name}, as the system does when memory runs out")
-        return EXIT_RESOURCE
-    if -code in _SIGNALS:
-        return 128 - code
+        return ResourceError.exit_code
+    if -code in _EXIT_CODES:
+        return _EXIT_CODES[-code]
     _say(f"ended by {name}: this is a defect in gvpipe or a library; please report it")
     return EXIT_DEFECT
 
@@ -99,9 +101,9 @@ def _work(work: Callable[[], int], alive: int, held: set[int | signal.Signals]) 
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
         code = work()
     except KeyboardInterrupt:
-        code = 128 + signal.SIGINT
+        code = EXIT_INTERRUPTED
     except Terminated:
-        code = 128 + signal.SIGTERM
+        code = EXIT_TERMINATED
     _leave(code)
 
 

@@ -6,8 +6,9 @@ import numpy as np
 
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply, fit_linear
-from gvpipe.core.geometry.pose import planar_pose
+from gvpipe.core.geometry.pose import planar_pose, rotation_vector
 from gvpipe.core.slam.links import Link, link_kind
+from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 CAMERA = Camera(width=640, height=480, fx=550.0, fy=550.0, cx=321.0, cy=242.0)
@@ -149,3 +150,19 @@ def true_map(scene: Scene, reference: str) -> dict[str, Pose]:
     shift = np.array([pose.translation[0], pose.translation[1], 0.0])
     map_from_world = Pose(turn, -turn @ shift)
     return {image: map_from_world @ p for image, p in scene.poses.items()}
+
+
+def errors(result: MapResult, truth: dict[str, Pose]) -> Float:
+    """Rotation vectors and translations (N, 6) from the estimated to the true poses."""
+    rows = []
+    for image, posed in result.poses.items():
+        estimate = posed.map_from_camera
+        turn = rotation_vector(truth[image].rotation @ estimate.rotation.T)
+        rows.append(np.append(turn, truth[image].translation - estimate.translation))
+    return np.array(rows)
+
+
+def mapped(scene: Scene, options: MapOptions | None = None) -> MapResult:
+    """The map of a scene in the frame of its first image."""
+    options = MapOptions() if options is None else options
+    return build_map(scene.cameras, scene.mounts, scene.order, scene.links, scene.order[0], options)

@@ -6,6 +6,7 @@ import os
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from urllib.parse import unquote
 
 import cv2
 import numpy as np
@@ -20,13 +21,18 @@ from gvpipe.core.types import Camera
 from gvpipe.dataset import open_dataset
 from gvpipe.errors import ConfigError, InputError
 from gvpipe.filelist import list_files
-from gvpipe.names import escape, natural_key, unescape
+from gvpipe.names import escape, natural_key
 from gvpipe.pixels import PixelSource, PixelStore
 
 CAMERAS = """cameras:
   small: {width: 64, height: 48, fx: 60, fy: 60, cx: 31.5, cy: 23.5}
   other: {width: 80, height: 60, fx: 70, fy: 70, cx: 39.5, cy: 29.5}
 """
+
+
+def unescape(name: str) -> str:
+    """The file name that an escaped one stands for, by somebody else's decoder."""
+    return unquote(name, errors="surrogateescape")
 
 
 def png(value=0, size=(64, 48)):

@@ -6,25 +6,25 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from gvpipe.core.geometry.homography import apply, fit_linear, transfer_errors
-from gvpipe.core.geometry.pose import robot_from_camera, rotation_vector
+from gvpipe.core.geometry.pose import robot_from_camera
 from gvpipe.core.slam.adjustment import adjust, approach, begin
 from gvpipe.core.slam.correlation import JUDGED_LINKS, judged_links, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import Matches, matches_of
-from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
+from gvpipe.core.slam.location_graph import MapOptions, build_map
 from gvpipe.core.slam.rig import (
     Rig,
     Spread,
     State,
+    camera_from_map,
     centres,
-    orientation,
     pose_jacobians,
     rescaled,
     turning,
 )
 from gvpipe.core.slam.tracks import cell_tracks, chain_matches
-from gvpipe.core.types import Float, Mount, Pose
-from tests.slam_scene import Scene, arc_path, loop_path, make_scene, true_map
+from gvpipe.core.types import Float, Mount
+from tests.slam_scene import arc_path, errors, loop_path, make_scene, mapped, true_map
 
 
 def some_rig(count: int, rng: np.random.Generator) -> tuple[Rig, Float]:
@@ -38,21 +38,6 @@ def some_rig(count: int, rng: np.random.Generator) -> tuple[Rig, Float]:
     return rig, rng.normal(0.0, [0.2, 0.2, 0.2, 0.05, 0.05, 0.02], (count, 6))
 
 
-def errors(result: MapResult, truth: dict[str, Pose]) -> Float:
-    """Rotation vectors and translations (N, 6) from the estimated to the true poses."""
-    rows = []
-    for image, posed in result.poses.items():
-        estimate = posed.map_from_camera
-        turn = rotation_vector(truth[image].rotation @ estimate.rotation.T)
-        rows.append(np.append(turn, truth[image].translation - estimate.translation))
-    return np.array(rows)
-
-
-def mapped(scene: Scene, options: MapOptions | None = None) -> MapResult:
-    options = MapOptions() if options is None else options
-    return build_map(scene.cameras, scene.mounts, scene.order, scene.links, scene.order[0], options)
-
-
 def test_orientation_derivatives_are_those_of_finite_differences() -> None:
     rig, cameras = some_rig(4, np.random.default_rng(1))
     cameras[0, 3:5] = 0.0
@@ -62,7 +47,7 @@ def test_orientation_derivatives_are_those_of_finite_differences() -> None:
         ahead, behind = cameras.copy(), cameras.copy()
         ahead[:, unknown] += step
         behind[:, unknown] -= step
-        difference = (orientation(rig, ahead) - orientation(rig, behind)) / (2 * step)
+        difference = (camera_from_map(rig, ahead) - camera_from_map(rig, behind)) / (2 * step)
         np.testing.assert_allclose(turned[:, slot], difference, atol=1e-8)
 
 
@@ -74,7 +59,7 @@ def test_pose_jacobians_are_those_of_finite_differences() -> None:
         ahead, behind = cameras.copy(), cameras.copy()
         ahead[:, unknown] += step
         behind[:, unknown] -= step
-        after, before = (orientation(rig, c).transpose(0, 2, 1) for c in (ahead, behind))
+        after, before = (camera_from_map(rig, c).transpose(0, 2, 1) for c in (ahead, behind))
         turn = Rotation.from_matrix(after @ before.transpose(0, 2, 1)).as_rotvec()
         numeric[:, :3, unknown] = turn / (2 * step)
         numeric[:, 3:, unknown] = (centres(rig, ahead) - centres(rig, behind)) / (2 * step)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gvpipe.core.overlap.candidates import candidate_pairs, shortlist
+from gvpipe.core.overlap.candidates import Candidate, candidate_pairs, shortlist
 from gvpipe.core.overlap.histogram import (
     BINS,
     DISTANCES,
@@ -137,13 +137,19 @@ def test_camera_that_sees_no_ground():
     assert ground_histogram(View("A/0", np.zeros((120, 160, 3), np.uint8), CAMERA, up)).sum() == 0
 
 
+def by_histograms_alone(distances: np.ndarray, threshold: float) -> list[Candidate]:
+    """Candidates of a whole matrix (n, m) of distances."""
+    i, j = (grid.ravel() for grid in np.indices(distances.shape))
+    return candidate_pairs(i, j, distances.ravel(), threshold, np.zeros(distances.size))
+
+
 def test_candidates_are_the_local_minima_best_first():
     d = np.array([[0.5, 0.1, 0.3], [0.15, 0.4, 0.9], [0.6, 0.12, 0.19]])
-    pairs = [(c.i, c.j) for c in candidate_pairs(d, 0.2)]
+    pairs = [(c.i, c.j) for c in by_histograms_alone(d, 0.2)]
     assert pairs == [(0, 1), (2, 1), (1, 0), (2, 2)]
-    assert [c.distance for c in candidate_pairs(d, 0.13)] == [0.1, 0.12]
-    assert candidate_pairs(d, 0.1) == []
-    assert candidate_pairs(np.empty((0, 3)), 1.0) == []
+    assert [c.distance for c in by_histograms_alone(d, 0.13)] == [0.1, 0.12]
+    assert by_histograms_alone(d, 0.1) == []
+    assert by_histograms_alone(np.empty((0, 3)), 1.0) == []
 
 
 def test_shortlist_holds_the_nearest_of_every_image():

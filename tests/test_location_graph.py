@@ -13,12 +13,13 @@ from gvpipe.core.types import Float, Mount, Pose
 from tests.slam_scene import (
     Scene,
     arc_path,
+    errors,
     loop_path,
     make_scene,
+    mapped,
     replace_links,
     true_map,
 )
-from tests.test_ground_bundle import errors, mapped
 
 
 def rms_m(found: Float) -> float:
@@ -55,7 +56,7 @@ def test_a_closed_loop_closes(patrol: Scene) -> None:
     assert all(link.kept for link in result.links)
     longest = result.closures[0]
     assert longest.chain_links >= 15
-    assert longest.optimised_m < 0.5 * longest.concatenated_m
+    assert longest.adjusted_m < 0.5 * longest.concatenated_m
 
 
 def test_robots_meet_in_one_map(team: Scene) -> None:

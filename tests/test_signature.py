@@ -11,7 +11,7 @@ from gvpipe.core.overlap.signature import (
     MIN_VOTES,
     agreement,
     common_ground,
-    expected_overlaps,
+    expected_overlap,
     ground_signature,
 )
 from gvpipe.core.types import Camera, Mount, View
@@ -86,7 +86,7 @@ def test_views_without_texture_or_ground():
     sky = ground_signature(View("A/1", grey, CAMERA, Mount(np.radians(-60), 0.0, 0.6)))
     assert len(bare.points) == len(sky.points) == 0
     assert agreement(bare, sky).votes == 0
-    assert expected_overlaps([bare], [sky]).tolist() == [[0.0]]
+    assert expected_overlap(bare, sky) == 0.0
 
 
 def test_common_ground_is_the_share_in_view(floors):
@@ -101,10 +101,12 @@ def test_the_pair_with_most_common_ground_comes_first(floors):
     floor = floors[0]
     of_a = [ground_signature(view(floor, x, 0, 0)) for x in (-2.0, -0.4, 0.2)]
     of_b = [ground_signature(view(floor, 0.25, 0.05, 10)), ground_signature(view(floor, -3, 2, 90))]
-    expected = expected_overlaps(of_a, of_b)
-    alike = np.full((3, 2), 0.1)  # histograms of one floor tell nothing
-    first, second = candidate_pairs(alike, 0.2, expected)[:2]
+    i, j = np.indices((3, 2)).reshape(2, -1)
+    expected = np.array([expected_overlap(of_a[m], of_b[n]) for m, n in zip(i, j, strict=True)])
+    alike = np.full(6, 0.1)  # histograms of one floor tell nothing
+    first, second = candidate_pairs(i, j, alike, 0.2, expected)[:2]
     assert (first.i, first.j) == (2, 0)
     assert first.expected == expected.max()
     assert second.expected < first.expected
-    assert {(c.i, c.j) for c in candidate_pairs(alike, 0.05, expected)} <= {(2, 0), (1, 0)}
+    by_spots = {(c.i, c.j) for c in candidate_pairs(i, j, alike, 0.05, expected)}
+    assert (2, 0) in by_spots <= {(2, 0), (1, 0)}

@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 """An array of float64; its shape is stated where it is used."""
 
+Index = NDArray[np.int64]
+"""An array of int64: numbers of things, or where lists laid out one after the other begin."""
+
+Mask = NDArray[np.bool_]
+"""An array of bool: which of several things are meant."""
+
 Image = NDArray[np.uint8]
 """(H, W, 3) uint8 RGB pixels."""
 

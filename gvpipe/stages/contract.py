@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
@@ -84,7 +84,7 @@ class Outcome(Generic[B, P]):
     body: B
     payload: P
     no_result: str | None = None
-    summary: tuple[tuple[str, str], ...] = field(default=())
+    summary: tuple[tuple[str, str], ...] = ()
 
 
 class Stage(Protocol):

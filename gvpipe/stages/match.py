@@ -11,7 +11,6 @@ from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
 from gvpipe.core.types import Float, PairMatch, Rejected
 from gvpipe.dataset import Dataset
-from gvpipe.errors import InputError
 from gvpipe.records import Body, MatchBody, PairRow
 from gvpipe.stages.contract import Context, Outcome, shortened
 from gvpipe.stages.pairing import count_steps, match_pairs
@@ -35,13 +34,7 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 
 
 def planned_pairs(config: Config, dataset: Dataset) -> list[tuple[str, str]]:
-    """List the pairs the configuration asks for.
-
-    Raises
-    ------
-    InputError
-        If a listed pair names an image that does not exist.
-    """
+    """List the pairs the configuration asks for, but for those of images that were skipped."""
     wanted = config.match.pairs
     if wanted == "consecutive":
         return [
@@ -51,13 +44,8 @@ def planned_pairs(config: Config, dataset: Dataset) -> list[tuple[str, str]]:
         ]
     if wanted == "exhaustive":
         return list(combinations([entry.image_id for entry in dataset.entries], 2))
-    known = {entry.image_id for entry in dataset.entries}
-    skipped = {s.image: s.reason for s in dataset.skipped}
-    for pair in wanted:
-        for image in pair:
-            if image not in known and image not in skipped:
-                raise InputError(f"match.pairs: there is no image {image!r}")
-    return [(i, j) for i, j in wanted if i in known and j in known]
+    usable = {entry.image_id for entry in dataset.entries}
+    return [(i, j) for i, j in wanted if i in usable and j in usable]
 
 
 def run(context: Context) -> Outcome[MatchBody, MatchPoints]:

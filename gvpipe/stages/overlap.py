@@ -1,6 +1,6 @@
 """Pictures of different robots that show the same ground: by histograms, then by homography."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from gvpipe.artefacts import write_npz
 from gvpipe.config import Config
-from gvpipe.core.overlap.candidates import Candidate, candidates_among, shortlist
+from gvpipe.core.overlap.candidates import Candidate, candidate_pairs, shortlist
 from gvpipe.core.overlap.histogram import BINS, DISTANCES, ground_histogram
 from gvpipe.core.overlap.signature import (
     Signature,
-    common_ground,
     expected_overlap,
     ground_signature,
     no_signature,
@@ -27,14 +26,11 @@ from gvpipe.formats.raster import png_bytes
 from gvpipe.parallel import Crashed
 from gvpipe.records import Body, CandidateRow, OverlapBody, OverlapRow, UnregisteredRow
 from gvpipe.stages.contract import Context, Outcome
-from gvpipe.stages.pairing import count_steps, match_pairs
+from gvpipe.stages.overlap_validation import validated
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "seed")
 BODY = OverlapBody
 PARALLEL = "processes"
-
-MIN_COMMON_GROUND = 0.08
-"""Share of either picture's ground that both must see for an overlap to count."""
 
 MAX_SPOT_PAIRS = 20_000
 """Pairs of pictures whose spots are compared, about a minute: of more, those with the nearest
@@ -43,15 +39,7 @@ histograms."""
 MAX_MATRIX = 4_000_000
 """Entries of a distance matrix up to which it is kept and drawn: 2,000 by 2,000 pictures."""
 
-BATCH = 8
-"""Candidates validated before looking again whether their robots are joined."""
-
-ENOUGH = 3
-"""Validated pairs that join two robots: one alone may be chance."""
-
 DIED_TWICE = "the worker process died twice on it"
-
-NOT_TRIED = "not tried: the robots are joined already"
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -102,23 +90,27 @@ def run(context: Context) -> Outcome[OverlapBody, Findings]:
     looks, left_out = _describe(context)
     histograms = np.array([look.histogram for look in looks.values()]).reshape(-1, BINS)
     meetings = list(_meetings(config, context.dataset, looks))
-    validate = _first if config.overlap.validate == "first" else _all
-    found = validate(context, meetings, looks)
+    found = validated(
+        context,
+        {meeting.robots: meeting.pairs for meeting in meetings},
+        {image: look.signature for image, look in looks.items()},
+    )
     arrays: Arrays = {"histograms": histograms, "image_ids": np.array(list(looks), dtype=np.str_)}
     overlaps = []
     figures: dict[str, bytes] = {}
-    for meeting, results in zip(meetings, found, strict=True):
+    for meeting in meetings:
+        verdicts = found[meeting.robots]
         name = "-".join(meeting.robots)
         figures |= _figures(meeting, config.overlap.distance)
         arrays |= {f"{name}/{key}": matrix for key, matrix in meeting.distances.items()}
-        for k, verdict in enumerate(results):
+        for k, verdict in enumerate(verdicts):
             if isinstance(verdict, PairMatch):
                 arrays[f"{name}/{k}/points_i"] = verdict.points_i
                 arrays[f"{name}/{k}/points_j"] = verdict.points_j
         candidates = tuple(
             _row(pair, candidate.distance, verdict)
             for pair, candidate, verdict in zip(
-                meeting.pairs, meeting.candidates, results, strict=True
+                meeting.pairs, meeting.candidates, verdicts, strict=True
             )
         )
         overlaps.append(OverlapRow(robots=meeting.robots, candidates=candidates))
@@ -185,68 +177,9 @@ def _meetings(config: Config, dataset: Dataset, looks: dict[str, _Look]) -> Iter
             for m, n in zip(i, j, strict=True)
         ]
         expected = np.array([expected_overlap(*pair) for pair in signatures])
-        candidates = candidates_among(i, j, near, settings.threshold, expected)
+        candidates = candidate_pairs(i, j, near, settings.threshold, expected)
         pairs = [(ids_a[c.i], ids_b[c.j]) for c in candidates]
         yield _Meeting((a, b), (ids_a, ids_b), distances, candidates, pairs)
-
-
-def _match(
-    context: Context,
-    pairs: list[tuple[str, str]],
-    looks: dict[str, _Look],
-    on_step: Callable[[], object],
-) -> list[PairMatch | Rejected]:
-    """Give the verdicts on some pairs."""
-    verdicts = match_pairs(context, pairs, on_step)
-    return [_sharing(p, verdict, looks) for p, verdict in zip(pairs, verdicts, strict=True)]
-
-
-def _all(
-    context: Context, meetings: list[_Meeting], looks: dict[str, _Look]
-) -> list[list[PairMatch | Rejected]]:
-    """Validate every candidate."""
-    pairs = [pair for meeting in meetings for pair in meeting.pairs]
-    with context.progress("validate", count_steps(pairs)) as ticker:
-        verdicts = iter(_match(context, pairs, looks, ticker.advance))
-        return [[next(verdicts) for _ in meeting.pairs] for meeting in meetings]
-
-
-def _first(
-    context: Context, meetings: list[_Meeting], looks: dict[str, _Look]
-) -> list[list[PairMatch | Rejected]]:
-    """Validate best first, until every two robots are joined, be it by way of others."""
-    found: list[list[PairMatch | Rejected]] = [[] for _ in meetings]
-    total = sum(len(meeting.pairs) for meeting in meetings)
-    with context.progress("validate", total) as ticker:
-        while True:
-            joined = _joined(meetings, found)
-            open_ = [
-                k
-                for k, meeting in enumerate(meetings)
-                if len(found[k]) < len(meeting.pairs)
-                and joined[meeting.robots[0]] != joined[meeting.robots[1]]
-            ]
-            if not open_:
-                break
-            # all robots take turns, so that a chain of them is found before its ends are tried
-            batch = [meetings[k].pairs[len(found[k]) : len(found[k]) + BATCH] for k in open_]
-            verdicts = iter(_match(context, [p for b in batch for p in b], looks, lambda: None))
-            for k, part in zip(open_, batch, strict=True):
-                found[k] += [next(verdicts) for _ in part]
-                ticker.advance(len(part))
-    for meeting, results in zip(meetings, found, strict=True):
-        results += [Rejected(NOT_TRIED)] * (len(meeting.pairs) - len(results))
-    return found
-
-
-def _joined(meetings: list[_Meeting], found: list[list[PairMatch | Rejected]]) -> dict[str, str]:
-    """Name for each robot the group that validated pairs have joined it to."""
-    group = {robot: robot for meeting in meetings for robot in meeting.robots}
-    for meeting, results in zip(meetings, found, strict=True):
-        if sum(isinstance(verdict, PairMatch) for verdict in results) >= ENOUGH:
-            a, b = (group[robot] for robot in meeting.robots)
-            group = {robot: a if name == b else name for robot, name in group.items()}
-    return group
 
 
 def _figures(meeting: _Meeting, distance: str) -> dict[str, bytes]:
@@ -263,24 +196,6 @@ def _figures(meeting: _Meeting, distance: str) -> dict[str, bytes]:
         f"curves_{name}.svg": svg.encode(),
         f"matrix_{name}.png": png_bytes(heat_map(meeting.distances[distance], *meeting.robots)),
     }
-
-
-def _sharing(
-    pair: tuple[str, str], verdict: PairMatch | Rejected, looks: dict[str, _Look]
-) -> PairMatch | Rejected:
-    """Reject a pair whose pictures hardly share any ground: it would join two maps by an edge."""
-    if isinstance(verdict, Rejected):
-        return verdict
-    i, j = (looks[image].signature for image in pair)
-    share = common_ground(i, j, verdict.overhead_j_from_i)
-    if share >= MIN_COMMON_GROUND:
-        return verdict
-    return Rejected(
-        f"the pictures share {share:.1%} of their ground, {MIN_COMMON_GROUND:.0%} are needed",
-        verdict.candidates,
-        verdict.trials,
-        len(verdict.points_i),
-    )
 
 
 def _row(pair: tuple[str, str], distance: float, verdict: PairMatch | Rejected) -> CandidateRow:

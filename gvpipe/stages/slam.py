@@ -1,16 +1,15 @@
 """All robots on one metric map; trajectories and the location graph."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from gvpipe.config import Config
+from gvpipe.config import Config, SlamConfig
 from gvpipe.core.geometry.pose import mount_of, yaw_tilt_roll
-from gvpipe.core.slam.links import Link, link_kind
+from gvpipe.core.slam.links import Link
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.slam.loops import gap_candidates, loop_candidates, without_bridges
-from gvpipe.core.types import Camera, Float, PairMatch, Pose
+from gvpipe.core.types import Float, Pose
 from gvpipe.dataset import Dataset, ImageEntry
 from gvpipe.errors import InputError
 from gvpipe.records import (
@@ -19,16 +18,15 @@ from gvpipe.records import (
     EdgeRow,
     MatchBody,
     OverlapBody,
-    OverlapRow,
     PoseRow,
     RejectedEdgeRow,
     SlamBody,
     UnregisteredRow,
 )
 from gvpipe.stages.contract import Context, Outcome, shortened
-from gvpipe.stages.pairing import count_steps, match_pairs
 from gvpipe.stages.slam_control import control_points, control_rows, control_summary
 from gvpipe.stages.slam_files import SlamEvidence, write_files
+from gvpipe.stages.slam_links import LinkSearch
 
 SECTIONS = ("cameras", "robots", "match", "overlap", "slam", "seed")
 BODY = SlamBody
@@ -36,19 +34,6 @@ PARALLEL = "processes"
 
 LOOP_ROUNDS = 2
 """Searches for more links: the second sees the map that the first one's loops have mended."""
-
-LOOPS_PER_IMAGE = 6
-"""New links tried an image and round: more hardly add to the accuracy, and each costs a match."""
-
-MIN_SHARED_GROUND = 0.15
-"""Share of its ground a picture must have in common with another for the pair to be tried."""
-
-MAX_GAP = 3
-"""Pictures of a robot at most this far apart in its sequence are tried across a gap."""
-
-MAX_STRIDE = 2
-"""And at most this far to confirm a link that nothing else does: were it wrong, the map on either
-side would look sound, and show no common ground."""
 
 
 def needs(config: Config) -> tuple[type[Body], ...]:
@@ -61,7 +46,7 @@ def needs(config: Config) -> tuple[type[Body], ...]:
 def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
     """Build the map from matches, or take the known poses."""
     dataset = context.dataset
-    if needs(context.config):
+    if needs(context.config):  # some poses are not known
         body, evidence = _mapped(context)
         rests_on = ("edges", f"{len(body.edges)} used, {len(body.rejected_edges)} rejected")
     else:
@@ -72,12 +57,11 @@ def run(context: Context) -> Outcome[SlamBody, SlamEvidence]:
         ("registered", f"{registered} of {len(dataset.entries)} images"),
         ("maps", str(body.components)),
         rests_on,
-        *(control_summary(body)),
+        *control_summary(body),
         *shortened([(f"not on a map: {r.image}", r.reason) for r in body.unregistered], 5),
     )
-    why = "no image could be linked to another" if registered < 2 else None
-    if len(dataset.entries) == 1 and registered == 1:
-        why = None
+    alone = registered < min(2, len(dataset.entries))
+    why = "no image could be linked to another" if alone else None
     return Outcome(body, evidence, no_result=why, summary=summary)
 
 
@@ -97,53 +81,29 @@ def _known(dataset: Dataset) -> SlamBody:
 
 def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     """Adjust all cameras over the plane; look for more links where the map shows common ground."""
+    settings = context.config.slam
     entries = {entry.image_id: entry for entry in context.dataset.entries}
-    reference = context.config.slam.reference or next(iter(entries))
+    reference = settings.reference or next(iter(entries))
     cameras = {image: entry.camera for image, entry in entries.items()}
     mounts = {image: entry.mount for image, entry in entries.items()}
-
-    settings = context.config.slam
-    options = MapOptions(
-        tilt_sigma=float(np.radians(settings.tilt_sigma_deg)),
-        roll_sigma=float(np.radians(settings.roll_sigma_deg)),
-        scale_sigma=settings.scale_sigma,
-        height_sigma=settings.height_sigma,
-    )
+    options = _options(settings)
     control = control_points(context.config, context.dataset)
 
     def adjusted(links: list[Link]) -> MapResult:
         return build_map(cameras, mounts, list(entries), links, reference, options, control)
 
-    links = [*_matched(context), *_overlapping(context)]
+    search = LinkSearch(context)
+    links = search.given()
     result = adjusted(links)
-    # a pair whose link turned out wrong may be matched once more where that could bridge a gap
-    tried = _tried(context) - {
-        (link.image_i, link.image_j)
-        for link, judged in zip(links, result.links, strict=True)
-        if not judged.kept and judged.residual_m is None
-    }
-
-    def found(pairs: list[tuple[str, str]]) -> list[Link]:
-        tried.update(pairs)
-        return list(_searched(context, pairs)) if pairs else []
-
-    def grown(links: list[Link], result: MapResult) -> tuple[list[Link], MapResult]:
-        for _ in range(LOOP_ROUNDS):
-            more = found(_proposed(cameras, list(entries), result, tried))
-            if not more:
-                break
-            links = [*links, *more]
-            result = adjusted(links)
-        return links, result
-
+    search.allow_again(links, result)
     if settings.loops:
-        links, result = grown(links, result)
-        confirming = found(_unconfirmed(list(entries), links, result, tried))
+        links, result = _grown(search, adjusted, links, result)
+        confirming = search.confirming(links, result)
         if confirming:
             both = adjusted([*links, *confirming])
             # distant pairs that agree add noise, and no more than their word
             if not result.confirmed_by(both):
-                links, result = grown([*links, *confirming], both)
+                links, result = _grown(search, adjusted, [*links, *confirming], both)
     if settings.control and not any(ground.fixed for ground in result.ground):
         raise InputError("slam.control: no map shows two different points of it")
     kept = tuple(link for link, x in zip(links, result.links, strict=True) if x.kept)
@@ -152,92 +112,30 @@ def _mapped(context: Context) -> tuple[SlamBody, SlamEvidence]:
     return body.model_copy(update={"control": control_rows(control, cameras, result)}), evidence
 
 
-def _tried(context: Context) -> set[tuple[str, str]]:
-    """List the pairs that were matched or rejected before."""
-    pairs = {(row.image_i, row.image_j) for row in context.artefact(MatchBody).body.pairs}
-    for row in _overlaps(context):
-        pairs |= {(c.image_i, c.image_j) for c in row.candidates}
-    return pairs
+def _options(settings: SlamConfig) -> MapOptions:
+    """Priors in radians."""
+    return MapOptions(
+        tilt_sigma=float(np.radians(settings.tilt_sigma_deg)),
+        roll_sigma=float(np.radians(settings.roll_sigma_deg)),
+        scale_sigma=settings.scale_sigma,
+        height_sigma=settings.height_sigma,
+    )
 
 
-def _overlaps(context: Context) -> tuple[OverlapRow, ...]:
-    """Overlaps of each two robots."""
-    if OverlapBody not in needs(context.config):
-        return ()
-    return context.artefact(OverlapBody).body.overlaps
-
-
-def _proposed(
-    cameras: dict[str, Camera], order: list[str], result: MapResult, tried: set[tuple[str, str]]
-) -> list[tuple[str, str]]:
-    """Pairs whose ground overlaps on the map, and pairs that may bridge a gap in a chain."""
-    pairs = []
-    for component in result.components:
-        poses = {image: result.poses[image].map_from_camera for image in component}
-        pairs += loop_candidates(
-            cameras, poses, tried, min_share=MIN_SHARED_GROUND, max_per_image=LOOPS_PER_IMAGE
-        )
-    pairs += gap_candidates(order, result.components, tried, max_gap=MAX_GAP)
-    return list(dict.fromkeys((c.image_i, c.image_j) for c in pairs))
-
-
-def _unconfirmed(
-    order: list[str], links: list[Link], result: MapResult, tried: set[tuple[str, str]]
-) -> list[tuple[str, str]]:
-    """Pairs that may confirm what only one link holds together."""
-    judged = zip(links, result.links, strict=True)
-    kept = {(link.image_i, link.image_j) for link, verdict in judged if verdict.kept}
-    parts = without_bridges(order, sorted(kept))
-    pairs = gap_candidates(order, parts, tried, max_gap=MAX_STRIDE)
-    return [(c.image_i, c.image_j) for c in pairs]
-
-
-def _searched(context: Context, pairs: list[tuple[str, str]]) -> Iterator[Link]:
-    """Match proposed pairs and yield the links found."""
-    place = _places(context)
-    with context.progress("loops", count_steps(pairs)) as ticker:
-        verdicts = match_pairs(context, pairs, ticker.advance)
-        for pair, verdict in zip(pairs, verdicts, strict=True):
-            if isinstance(verdict, PairMatch):
-                kind = link_kind(place, *pair)
-                yield Link(*pair, kind, verdict.homography, verdict.points_i, verdict.points_j)
-
-
-def _places(context: Context) -> dict[str, int]:
-    """Return the place of each image, robot by robot."""
-    return {entry.image_id: k for k, entry in enumerate(context.dataset.entries)}
-
-
-def _matched(context: Context) -> Iterator[Link]:
-    """Turn matched pairs into links."""
-    match = context.artefact(MatchBody)
-    points = match.arrays("match.npz")
-    place = _places(context)
-    for k, row in enumerate(match.body.pairs):
-        if row.H is not None:
-            pair = row.image_i, row.image_j
-            kind = link_kind(place, *pair)
-            yield Link(*pair, kind, row.H, points[f"{k}/points_i"], points[f"{k}/points_j"])
-
-
-def _overlapping(context: Context) -> Iterator[Link]:
-    """Turn validated overlaps into links."""
-    if not _overlaps(context):
-        return
-    overlap = context.artefact(OverlapBody)
-    points = overlap.arrays("overlap.npz")
-    for row in overlap.body.overlaps:
-        name = "-".join(row.robots)
-        for k, candidate in enumerate(row.candidates):
-            if candidate.H is not None:
-                yield Link(
-                    candidate.image_i,
-                    candidate.image_j,
-                    "overlap",
-                    candidate.H,
-                    points[f"{name}/{k}/points_i"],
-                    points[f"{name}/{k}/points_j"],
-                )
+def _grown(
+    search: LinkSearch,
+    adjusted: Callable[[list[Link]], MapResult],
+    links: list[Link],
+    result: MapResult,
+) -> tuple[list[Link], MapResult]:
+    """Add links where the map suggests them, as long as there are some."""
+    for _ in range(LOOP_ROUNDS):
+        more = search.suggested(result)
+        if not more:
+            break
+        links = [*links, *more]
+        result = adjusted(links)
+    return links, result
 
 
 def _body(
@@ -276,7 +174,7 @@ def _body(
                 image_i=closure.image_i,
                 image_j=closure.image_j,
                 concatenated_m=closure.concatenated_m,
-                adjusted_m=closure.optimised_m,
+                adjusted_m=closure.adjusted_m,
             )
             for closure in result.closures
         ),

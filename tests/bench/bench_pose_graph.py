@@ -23,10 +23,10 @@ from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.geometry.homography import apply, fit_linear
 from gvpipe.core.geometry.pose import planar_pose, rotation_vector, yaw_tilt_roll
 from gvpipe.core.slam.consistency import grow
-from gvpipe.core.slam.holding import hold, place_all
+from gvpipe.core.slam.holding import hold
 from gvpipe.core.slam.links import Link, LinkSet
 from gvpipe.core.slam.location_graph import MapOptions, MapResult, build_map
-from gvpipe.core.slam.placements import Placements, disagreements
+from gvpipe.core.slam.placements import Placements, disagreements, place_all
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 CAMERA = Camera(width=640, height=480, fx=550.0, fy=550.0, cx=321.0, cy=242.0)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from gvpipe.core.geometry.pose import rotation_vector
+from gvpipe.core.geometry.pose import about_z, rotation_vector
 from gvpipe.core.types import Float, Pose, Rejected
 
 Alignment = Literal["none", "origin", "yaw", "se3", "sim3"]
@@ -97,9 +97,7 @@ def align(
         sine, cosine = covariance[1, 0] - covariance[0, 1], covariance[0, 0] + covariance[1, 1]
         if np.hypot(sine, cosine) <= 1e-12 * max(spread, 1e-30):
             return Rejected("the positions leave the heading open")
-        angle = np.arctan2(sine, cosine)
-        c, s = np.cos(angle), np.sin(angle)
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        rotation = about_z(float(np.arctan2(sine, cosine)))
         return Similarity(1.0, rotation, mean_y - rotation @ mean_x)
     u, d, vt = np.linalg.svd(covariance)
     if d[1] <= 1e-12 * d[0] or d[0] <= 1e-30:

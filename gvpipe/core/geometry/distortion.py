@@ -36,7 +36,7 @@ def photographed(pixels: Float, camera: Camera, distortion: tuple[float, ...]) -
 
 
 def undistorted(pixels: Float, camera: Camera, distortion: tuple[float, ...]) -> Float:
-    """Where pixels (N, 2) of the photograph are in the undistorted image."""
+    """Where pixels (N, 2) of the photograph are in the undistorted image, see `photographed`."""
     if not len(pixels) or not any(distortion):
         return np.array(pixels, dtype=np.float64)
     inverse = camera.inverse

@@ -156,6 +156,19 @@ def overhead_grid(
 ) -> OverheadGrid:
     """Smallest raster of the given scale that holds the camera's :func:`footprint`.
 
+    Parameters
+    ----------
+    camera, mount : Camera, Mount
+        The view.
+    pixels_per_metre : float
+        Scale.
+    max_range : float
+        Ground farther than this from the robot is left out, metres.
+
+    Returns
+    -------
+    grid : OverheadGrid
+
     Raises
     ------
     ValueError

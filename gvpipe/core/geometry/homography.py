@@ -43,7 +43,20 @@ def local_jacobian(homography: Float, points: Float) -> Float:
 
 
 def transfer_errors(homography: Float, points_i: Float, points_j: Float) -> Float:
-    """Distance in image j between the mapped points of i and their partners, (N,) pixels."""
+    """Distances in image j between mapped points of i and their partners.
+
+    Parameters
+    ----------
+    homography : (3, 3) float64
+        Pixels of i to pixels of j.
+    points_i, points_j : (N, 2) float64
+        Matched pixels.
+
+    Returns
+    -------
+    errors : (N,) float64
+        Pixels; infinite for points that the homography takes to infinity.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.linalg.norm(apply(homography, points_i) - points_j, axis=1)
     return np.where(np.isfinite(error), error, np.inf)

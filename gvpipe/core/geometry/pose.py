@@ -72,6 +72,12 @@ def yaw_tilt_roll(map_from_camera: Float) -> tuple[float, float, float]:
     return yaw, tilt, roll
 
 
+def about_z(angle: float) -> Float:
+    """Rotation matrix (3, 3) by an angle about the z axis, radians, from x towards y."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def planar_pose(x: float, y: float, yaw: float, mount: Mount) -> Pose:
     """Pose in the map of a camera carried by a robot at (x, y) with the given heading.
 
@@ -89,10 +95,7 @@ def planar_pose(x: float, y: float, yaw: float, mount: Mount) -> Pose:
     map_from_camera : Pose
         Camera to map, metres.
     """
-    c, s = np.cos(yaw), np.sin(yaw)
-    map_from_robot = Pose(
-        np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, 0.0])
-    )
+    map_from_robot = Pose(about_z(yaw), np.array([x, y, 0.0]))
     return map_from_robot @ robot_from_camera(mount)
 
 
@@ -118,7 +121,7 @@ def quaternions(poses: Sequence[Pose]) -> Float:
 
 
 def rotation_matrix(rotation_vector: Float) -> Float:
-    """Rotation matrix (3, 3), or several, of an axis times angle, (3,) radians."""
+    """Rotation matrices (..., 3, 3) of axes times angles (..., 3), radians."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix(), dtype=np.float64)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.geometry.pose import mount_of, robot_from_camera
+from gvpipe.core.geometry.pose import about_z, mount_of, robot_from_camera
 from gvpipe.core.types import Camera, Float, Mount, Pose
 
 _Y_UP = np.diag([1.0, -1.0, 1.0])
@@ -125,7 +125,15 @@ def _nearest_rotation(matrix: Float) -> Float:
 
 
 def choose(solutions: tuple[RelativePose, ...], normal_prior: Float) -> RelativePose:
-    """Pick the solution whose normal is nearest to the known one (thesis 4.2.1)."""
+    """Pick the solution whose normal is nearest to the known one (thesis 4.2.1).
+
+    Parameters
+    ----------
+    solutions : tuple of RelativePose
+        Of :func:`decompose`.
+    normal_prior : (3,) float64
+        Unit normal of the ground in camera i as configured, towards the ground.
+    """
     return max(solutions, key=lambda s: float(s.normal @ normal_prior))
 
 
@@ -156,7 +164,7 @@ def closed_form(motion: Float, height: float) -> RelativePose:
     alpha_j = np.arctan2(sign_j * m[2, 0], sign_j * m[1, 0])
     alpha_i = np.arctan2(sign_i * inverse[2, 0], sign_i * inverse[1, 0])
     theta = np.arctan2(sign_j * np.hypot(m[1, 0], m[2, 0]), m[0, 0])
-    rotation = _about_x(alpha_j) @ _about_z(theta) @ _about_x(alpha_i).T
+    rotation = _about_x(alpha_j) @ about_z(theta) @ _about_x(alpha_i).T
     normal = np.array([0.0, -np.sin(alpha_i), np.cos(alpha_i)])
     translation = (m - rotation) @ normal * height
     return RelativePose(
@@ -167,11 +175,6 @@ def closed_form(motion: Float, height: float) -> RelativePose:
 def _about_x(angle: float) -> Float:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _about_z(angle: float) -> Float:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def tilt_and_roll(normal: Float) -> tuple[float, float]:

@@ -1,12 +1,9 @@
 """Normal equations of cameras over a plane, the ground points eliminated."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 MIN_DEPTH = 1e-3
 """Observations whose point lies nearer to the camera plane than this, metres, count as behind."""
@@ -16,7 +13,7 @@ BEHIND_PX2 = 1e8
 
 
 @kernel
-def misfit(
+def _misfit(
     projection: Float,
     centre: Float,
     camera: Index,
@@ -92,7 +89,7 @@ def evaluate(
     """
     cost = 0.0
     for t in range(len(start) - 1):
-        misfits[t] = misfit(projection, centre, camera, pixel, start, weight, points, t)
+        misfits[t] = _misfit(projection, centre, camera, pixel, start, weight, points, t)
         bound = loss_px * loss_px * (start[t + 1] - start[t] - 1)
         cost += bound * np.log1p(misfits[t] / bound)
     return cost

@@ -4,12 +4,9 @@ Matches of all links lie one after the other: those of link e are ``start[e]:sta
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 
 @kernel

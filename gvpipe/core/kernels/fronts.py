@@ -9,12 +9,9 @@ lie on top of it.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 STRIP, PANEL = 32, 192
 """Rows that are eliminated before the rest of their panel is updated in one product, and rows of a
@@ -104,7 +101,7 @@ def _subtract(matrix: Float, begin: int, end: int, stop: int) -> None:
 
 
 @kernel
-def eliminate(matrix: Float, count: int) -> bool:
+def _eliminate(matrix: Float, count: int) -> bool:
     """Eliminate the first unknowns of a dense symmetric matrix, of which the upper half counts.
 
     Their rows become those of the Cholesky factor, the rest the Schur complement; False if the
@@ -183,7 +180,7 @@ def factor_fronts(
                 for b in range(a, len(slot)):
                     row[slot[b]] += stack[k + b]
                 k += len(slot)
-        if not eliminate(matrix, own):
+        if not _eliminate(matrix, own):
             return False, factors
         factors[tree.factor_first[f] : tree.factor_first[f + 1]] = matrix[:own].ravel()
         for a in range(own, len(matrix)):

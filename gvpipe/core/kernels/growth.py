@@ -3,12 +3,9 @@
 import heapq
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 
 @kernel
@@ -29,7 +26,7 @@ def _carry(pose: Float, centre_here: Float, centre_there: Float, turn: float) ->
 def _apart(
     a: Float, b: Float, centre_i: Float, centre_j: Float, turn: float, radius: float
 ) -> float:
-    """Squared disagreement of a link between poses a of image i and b of image j."""
+    """Squared disagreement (metres) of a link between poses a of image i and b of image j."""
     c, s, d, t = np.cos(a[2]), np.sin(a[2]), np.cos(b[2]), np.sin(b[2])
     x = a[0] + c * centre_i[0] - s * centre_i[1] - b[0] - d * centre_j[0] + t * centre_j[1]
     y = a[1] + s * centre_i[0] + c * centre_i[1] - b[1] - t * centre_j[0] - d * centre_j[1]
@@ -64,7 +61,9 @@ def grow_map(
     Returns
     -------
     planar : (N, 3) float64
+        x, y (metres) and heading (radians), each connected part in the frame of its first image.
     component : (N,) int64
+        Number of each image's connected part.
     """
     count = len(first) - 1
     planar, component = np.zeros((count, 3)), np.full(count, -1, dtype=np.int64)

@@ -1,6 +1,7 @@
 """Distances between many histograms at once.
 
-The inner loops run over the columns of the transposed second set, so that they vectorise without
+Histograms h are (N, bins) float32, those they are compared with, `g_columns`, (bins, M) float32,
+and `out` is (N, M) float32. The inner loops run over the columns, so that they vectorise without
 reordering any sum: results are the same on every machine and for every block size.
 """
 

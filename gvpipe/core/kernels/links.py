@@ -1,22 +1,24 @@
 """Two-view geometry of all links of a map: placement on the ground, then fit.
 
-Matches of all links lie one after the other: those of link e are ``start[e]:start[e + 1]``.
+Matches of all links lie one after the other: those of link e are ``start[e]:start[e + 1]``, pixels
+p (M, 2) in image i and q (M, 2) in image j; `ends` (E, 2) are the numbers of these images.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
 from gvpipe.core.kernels.transfer import median_miss
 from gvpipe.core.kernels.twoview import fit_pair, pair_homography
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 
 @kernel
 def ground_from_pixel(tilt: float, roll: float, height: float, inverse_k: Float) -> Float:
-    """Homography (3, 3) from pixels to the robot's ground; its third component sees the horizon."""
+    """Homography (3, 3) from pixels to the robot's ground frame, metres.
+
+    Tilt and roll are in radians, the height in metres, `inverse_k` (3, 3) is the inverse
+    calibration; the third component is positive for pixels below the horizon.
+    """
     s, c, sr, cr = np.sin(tilt), np.cos(tilt), np.sin(roll), np.cos(roll)
     m = np.zeros((3, 3))
     m[0, 0], m[0, 1], m[0, 2] = -s * sr * height, -s * cr * height, c * height
@@ -50,8 +52,9 @@ def place_pair(
     Returns
     -------
     placement : (7,) float64
-        Centroids in either frame, heading of i minus that of j, radius, misfit; all NaN if fewer
-        than three matches, or than half of them, lie below both horizons.
+        Centroids in either frame (metres), heading of i minus that of j (radians), radius, misfit
+        (metres); all NaN if fewer than three matches, or than half of them, lie below both
+        horizons.
     """
     a, b = np.empty((len(p), 2)), np.empty((len(p), 2))
     n = 0
@@ -104,7 +107,8 @@ def place_links(
 ) -> Float:
     """Placements (E, 7) of all links, see :func:`place_pair`.
 
-    Tilt, roll and height `mount` (N, 3) and inverse calibrations (N, 3, 3) are by image.
+    Tilt, roll (radians) and height (metres) `mount` (N, 3) and inverse calibrations (N, 3, 3) are
+    by image.
     """
     out, ground = np.empty((len(ends), 7)), np.empty((len(mount), 3, 3))
     for k in range(len(mount)):
@@ -182,7 +186,7 @@ def fit_links(
     placement : (E, 7) float64
         Links whose placement is NaN are passed over.
     mount : (N, 3) float64
-        Tilt, roll and height of each image.
+        Tilt, roll (radians) and height (metres) of each image.
     matrix, inverse : (N, 3, 3) float64
         Calibrations and their inverses.
     prior_weight : (8,) float64

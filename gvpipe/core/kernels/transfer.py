@@ -1,20 +1,18 @@
 """How far matches are from where a geometry takes them, link by link.
 
-Matches of all links lie one after the other: those of link e are ``start[e]:start[e + 1]``.
+Matches of all links lie one after the other: those of link e are ``start[e]:start[e + 1]``, pixels
+p (M, 2) in image i and q (M, 2) in image j.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.jit import kernel
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 
 @kernel
 def median_miss(h: Float, p: Float, q: Float) -> float:
-    """Median distance between mapped points and their partners; infinite beyond the horizon."""
+    """Median distance between mapped points and their partners; infinite for one on the horizon."""
     miss = np.empty(len(p))
     for k in range(len(p)):
         w = h[2, 0] * p[k, 0] + h[2, 1] * p[k, 1] + h[2, 2]
@@ -40,7 +38,10 @@ def median_misses(start: Index, p: Float, q: Float, h: Float, which: Index) -> F
 def median_gaps(
     start: Index, p: Float, q: Float, map_from_i: Float, map_from_j: Float, which: Index
 ) -> Float:
-    """Median distances (W,) between the ground points of both pixels of each match, metres."""
+    """Median distances (W,) between the ground points of both pixels of each match, metres.
+
+    Homographies (W, 3, 3) take pixels of either image to the ground.
+    """
     out = np.empty(len(which))
     for n in range(len(which)):
         first, last = start[which[n]], start[which[n] + 1]

@@ -34,42 +34,32 @@ BLOCK = 1024
 
 
 def candidate_pairs(
-    distances: NDArray[np.floating], threshold: float, expected: Float | None = None
-) -> list[Candidate]:
-    """Pairs worth a homography, the most promising first.
-
-    Parameters
-    ----------
-    distances : (n, m) float
-        Between the histograms of two robots' images.
-    threshold : float
-        Pairs at this distance or above are left out, unless their spots agree.
-    expected : (n, m) float64, optional
-        From :func:`gvpipe.core.overlap.signature.expected_overlaps`.
-
-    Returns
-    -------
-    candidates : list of Candidate
-        For every image of either robot the one of the other with the most common ground to
-        expect, most first; then the one with the nearest histogram, by increasing distance
-        (thesis 4.3.3, second algorithm, in both directions). Each pair once.
-    """
-    d = np.asarray(distances, dtype=np.float64)
-    if not d.size:
-        return []
-    e = np.zeros(d.shape) if expected is None else np.asarray(expected, dtype=np.float64)
-    i, j = (grid.ravel() for grid in np.indices(d.shape))
-    return candidates_among(i, j, d.ravel(), threshold, e.ravel())
-
-
-def candidates_among(
     i: NDArray[np.intp],
     j: NDArray[np.intp],
     distances: NDArray[np.floating],
     threshold: float,
     expected: Float,
 ) -> list[Candidate]:
-    """Choose the candidates of :func:`candidate_pairs` among listed pairs; arrays are (k,)."""
+    """Choose the pairs worth a homography, the most promising first.
+
+    Parameters
+    ----------
+    i, j : (k,) int
+        Pairs of images of two robots, each once.
+    distances : (k,) float
+        Between their histograms.
+    threshold : float
+        Pairs at this distance or above are left out, unless their spots agree.
+    expected : (k,) float64
+        Of :func:`gvpipe.core.overlap.signature.expected_overlap`.
+
+    Returns
+    -------
+    candidates : list of Candidate
+        For every image of either robot the one of the other with the most common ground to
+        expect, most first; then the one with the nearest histogram, by increasing distance
+        (thesis 4.3.3, second algorithm, in both directions).
+    """
     chosen = {k for k in _best_partners(i, j, -expected) if expected[k] > 0}
     chosen |= {k for k in _best_partners(i, j, distances) if distances[k] < threshold}
     found = [

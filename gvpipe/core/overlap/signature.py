@@ -6,7 +6,6 @@ views one pair of alike spots already fixes the motion between the robots, so tw
 compared by how many pairs agree on one motion, without any search.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -180,24 +179,6 @@ def _partners(likeness: NDArray[np.float32]) -> tuple[NDArray[np.intp], NDArray[
     # unit vectors: squared distance 2 - 2 cos
     clear = 1.0 - two[:, 1] < RATIO**2 * (1.0 - two[:, 0])
     return i[clear], best_j[i[clear]]
-
-
-def expected_overlaps(of_i: Sequence[Signature], of_j: Sequence[Signature]) -> Float:
-    """Guess how much ground each view of a robot shares with each view of another.
-
-    Parameters
-    ----------
-    of_i, of_j : sequences of Signature
-        The views of two robots.
-
-    Returns
-    -------
-    expected : (n, m) float64
-        Of :func:`expected_overlap`.
-    """
-    return np.array([[expected_overlap(i, j) for j in of_j] for i in of_i]).reshape(
-        len(of_i), len(of_j)
-    )
 
 
 def expected_overlap(i: Signature, j: Signature) -> float:

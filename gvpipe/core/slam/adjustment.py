@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gvpipe.core.geometry.pose import yaw_tilt_roll
+from gvpipe.core.geometry.pose import about_z, yaw_tilt_roll
 from gvpipe.core.slam.control import Control, placed_by
 from gvpipe.core.slam.fronts import Factor
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.normal import marginal_covariances
-from gvpipe.core.slam.rig import Rig, Spread, State, orientation, pose_jacobians, rescaled
+from gvpipe.core.slam.rig import Rig, Spread, State, camera_from_map, pose_jacobians, rescaled
 from gvpipe.core.types import Float
 
 CAUCHY = 2.385
@@ -268,19 +268,12 @@ def pose_covariances(
     count = len(cameras)
     lean = (6 * reference + np.array([3, 4])).astype(np.int64)
     own, beside = marginal_covariances(normal.factor(), problem.held, lean)
-    cross = beside[: 6 * count].reshape(count, 6, 2)
     jacobian = pose_jacobians(rig, cameras)
     if problem.control:
         return np.asarray(jacobian @ own @ jacobian.transpose(0, 2, 1))
-    rotation = orientation(rig, cameras)[reference].T
-    # change of the axis' heading by the two leans of the reference
-    turning = jacobian[reference][:3, 3:5]
-    upright = rotation[:, 2] if np.hypot(*rotation[:2, 2]) > 1e-9 else -rotation[:, 1]
-    moved = np.cross(turning.T, upright)
-    by_lean = (upright[0] * moved[:, 1] - upright[1] * moved[:, 0]) / (upright[:2] ** 2).sum()
-    angle = -yaw_tilt_roll(rotation)[0]
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    map_from_camera = camera_from_map(rig, cameras)[reference].T
+    by_lean = _heading_by_leans(map_from_camera, jacobian[reference])
+    turn = about_z(-yaw_tilt_roll(map_from_camera)[0])
     position = cameras[:, :2] @ turn[:2, :2].T
     twist = np.zeros((count, 6))
     twist[:, 2], twist[:, 3], twist[:, 4] = -1.0, position[:, 1], -position[:, 0]
@@ -288,6 +281,7 @@ def pose_covariances(
     both[:3, :3] = both[3:, 3:] = turn
     a = both @ jacobian
     b = twist[:, :, None] * by_lean[None, None, :]
+    cross = beside[: 6 * count].reshape(count, 6, 2)
     lean_block = own[reference][3:5, 3:5]
     mixed = a @ cross @ b.transpose(0, 2, 1)
     return np.asarray(
@@ -296,3 +290,20 @@ def pose_covariances(
         + mixed.transpose(0, 2, 1)
         + b @ lean_block @ b.transpose(0, 2, 1)
     )
+
+
+def _heading_by_leans(map_from_camera: Float, jacobian: Float) -> Float:
+    """Differentiate the heading of a camera's optical axis by its two leans, (2,).
+
+    Parameters
+    ----------
+    map_from_camera : (3, 3) float64
+        Rotation.
+    jacobian : (6, 6) float64
+        Of its pose by its unknowns.
+    """
+    axis = map_from_camera[:, 2]
+    if np.hypot(*axis[:2]) <= 1e-9:  # straight down, the upper edge of the picture heads the way
+        axis = -map_from_camera[:, 1]
+    moved = np.cross(jacobian[:3, 3:5].T, axis)
+    return np.asarray((axis[0] * moved[:, 1] - axis[1] * moved[:, 0]) / (axis[:2] ** 2).sum())

@@ -30,7 +30,7 @@ class Closure:
     concatenated_m : float
         Median distance on the ground between the matches of j and those of i brought over by the
         product of the chain's homographies (thesis eq. 4.3.1), metres.
-    optimised_m : float
+    adjusted_m : float
         The same with the poses of the map.
     """
 
@@ -38,7 +38,7 @@ class Closure:
     image_j: str
     chain_links: int
     concatenated_m: float
-    optimised_m: float
+    adjusted_m: float
 
 
 def closures(
@@ -105,5 +105,5 @@ def _measured(
         image_j=j,
         chain_links=count,
         concatenated_m=median_distance(apply(map_from_j @ product, link.points_i), there),
-        optimised_m=median_distance(apply(map_from_i, link.points_i), there),
+        adjusted_m=median_distance(apply(map_from_i, link.points_i), there),
     )

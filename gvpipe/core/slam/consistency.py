@@ -6,8 +6,8 @@ import numpy as np
 
 from gvpipe.core.kernels.growth import grow_map
 from gvpipe.core.slam.fronts import Blocks, Dissection, Factor
-from gvpipe.core.slam.placements import Index, Mask, Placements, disagreements, turned, wrapped
-from gvpipe.core.types import Float
+from gvpipe.core.slam.placements import Placements, disagreements, turned, wrapped
+from gvpipe.core.types import Float, Index, Mask
 
 CUT = 3.0
 """A link is cut where its two images place the shared ground this many tolerances apart."""
@@ -114,15 +114,13 @@ def grow(links: Placements, count: int) -> tuple[Float, Index]:
     Returns
     -------
     planar : (N, 3) float64
-        x, y and heading; the first image of each connected part lies at the origin.
+        x, y (metres) and heading (radians); the first image of each connected part lies at the
+        origin.
     component : (N,) int64
         Connected part of each image.
     """
-    ends = np.concatenate([links.i, links.j])
-    order = np.argsort(
-        np.concatenate([2 * np.arange(len(links.i)), 1 + 2 * np.arange(len(links.i))])
-    )
-    order = order[np.argsort(ends[order], kind="stable")]
+    ends = np.column_stack([links.i, links.j]).ravel()
+    order = np.argsort(ends, kind="stable")
     planar, component = grow_map(
         links.i,
         links.j,
@@ -133,7 +131,7 @@ def grow(links: Placements, count: int) -> tuple[Float, Index]:
         WIDE * CUT * links.tolerance,
         links.trust,
         np.searchsorted(ends[order], np.arange(count + 1)),
-        order % len(links.i) if len(order) else order,
+        order // 2,
     )
     return np.asarray(planar), np.asarray(component)
 
@@ -171,6 +169,7 @@ def _settle(
         np.add.at(between, pair, np.where(forward, mixed, mixed.transpose(0, 2, 1)))
         # the frame is free: whatever holds the first image of a part at its place moves nothing
         diagonal[held] += np.eye(3) * (1.0 + diagonal.max(initial=0.0))
+        # and an image all of whose links have been cut stays where it is
         diagonal += np.eye(3) * (1e-9 + 1e-9 * diagonal)
         blocks = Blocks(diagonal, between, np.empty((len(planar), 3, 0)), np.empty((0, 0)))
         step = Factor(plan, blocks).solve(right.ravel()).reshape(-1, 3)
@@ -211,7 +210,8 @@ def agree(links: Placements, count: int) -> tuple[Float, Mask]:
     Returns
     -------
     planar : (N, 3) float64
-        x, y and heading of every image in the frame of the first of its connected part.
+        x, y (metres) and heading (radians) of every image in the frame of the first of its
+        connected part.
     keep : (E,) bool
         False for links that were cut.
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gvpipe.core.slam.rig import Rig, State, centres, orientation, turning
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Float
+from gvpipe.core.slam.rig import Rig, State, camera_from_map, centres, turning
+from gvpipe.core.types import Float, Index
 
 SIGMA_PX = 1.0
 """How well a known point is pointed at in a picture, pixels: a careful click."""
@@ -63,9 +62,8 @@ class Control:
 
     def _project(self, rig: Rig, cameras: Float) -> tuple[Float, Float]:
         """Pixels (C, 2) of the known points and their derivatives (C, 2, 6)."""
-        rotation, turned = orientation(rig, cameras), turning(rig, cameras)
-        matrix = rig.matrix[self.camera]
-        projection = matrix @ rotation[self.camera]
+        matrix, turned = rig.matrix[self.camera], turning(rig, cameras)
+        projection = matrix @ camera_from_map(rig, cameras)[self.camera]
         centre = centres(rig, cameras)[self.camera]
         ray = np.column_stack([self.position - centre[:, :2], -centre[:, 2]])
         image = np.einsum("cij,cj->ci", projection, ray)
@@ -117,9 +115,9 @@ def placed_by(control: Control, rig: Rig, state: State) -> State:
 
 def _on_the_ground(control: Control, rig: Rig, cameras: Float) -> Float:
     """Where the pixels meet the ground, (C, 2) metres; NaN above the horizon."""
-    rotation = orientation(rig, cameras)[control.camera]
+    projection = rig.matrix[control.camera] @ camera_from_map(rig, cameras)[control.camera]
     centre = centres(rig, cameras)[control.camera]
     pixel = np.column_stack([control.pixel, np.ones(len(control.pixel))])
-    ray = np.linalg.solve(rig.matrix[control.camera] @ rotation, pixel[:, :, None])[:, :, 0]
+    ray = np.linalg.solve(projection, pixel[:, :, None])[:, :, 0]
     down = np.where(ray[:, 2] < 0, -ray[:, 2], np.nan)
     return np.asarray(centre[:, :2] + ray[:, :2] * (centre[:, 2] / down)[:, None])

@@ -10,13 +10,9 @@ place, without the rest of the inverse (Erisman and Tinney's selected inverse).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gvpipe.core.kernels.fronts import Tree, factor_fronts, marginal_fronts, solve_fronts
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from gvpipe.core.types import Float, Index, Mask
 
 LEAF = 6
 """Places that are eliminated at once instead of being split further."""

@@ -12,14 +12,14 @@ from gvpipe.core.slam.rig import (
     Rig,
     Spread,
     State,
+    camera_from_map,
     centres,
-    orientation,
     prior_cost,
     prior_normal,
     turning,
 )
-from gvpipe.core.slam.tracks import Index, Tracks
-from gvpipe.core.types import Float
+from gvpipe.core.slam.tracks import Tracks
+from gvpipe.core.types import Float, Index
 
 FIRST_DAMPING = 1e-7
 MAX_DAMPING = 1e8
@@ -32,8 +32,19 @@ PROMISE_KEPT = 0.5
 class Problem:
     """One connected set of cameras with their tracks.
 
-    Position and heading of the `reference` camera are held, or nothing is where known ground
-    points fix the map instead. Rough positions `where` (N, 2) of what the cameras see save time.
+    Parameters
+    ----------
+    rig : Rig
+        The N cameras.
+    tracks : Tracks
+        What they saw.
+    reference : int
+        Camera whose position and heading are held, unless known points fix the map.
+    control : Control, optional
+        Known ground points.
+    where : (N, 2) float64, optional
+        Rough positions of what the cameras see, metres: they save time, and change no result
+        but by rounding.
     """
 
     def __init__(
@@ -62,12 +73,12 @@ class Problem:
 
     def initial_points(self, cameras: Float) -> Float:
         """Mean of where the observations of each track meet the ground, (T, 2) metres."""
-        rotation = orientation(self.rig, cameras)
         centre = centres(self.rig, cameras)
-        back = np.linalg.inv(self.rig.matrix @ rotation)
+        back = np.linalg.inv(self.rig.matrix @ camera_from_map(self.rig, cameras))
         seen = np.column_stack([self.tracks.pixel, np.ones(len(self.tracks.pixel))])
         ray = np.einsum("kij,kj->ki", back[self.tracks.camera], seen)
         c = centre[self.tracks.camera]
+        # a ray at or above the horizon meets the ground nowhere: its point is put far away
         down = np.maximum(-ray[:, 2], 1e-3 * np.linalg.norm(ray, axis=1))
         ground = c[:, :2] + ray[:, :2] * (c[:, 2] / down)[:, None]
         # a foreshortened view says little about where the point lies
@@ -82,9 +93,8 @@ class Problem:
         return out
 
     def _robust_cost(self, state: State, loss_px: float, out: Float) -> float:
-        rotation = orientation(self.rig, state.cameras)
         return kernels.evaluate(
-            self.rig.matrix @ rotation,
+            self.rig.matrix @ camera_from_map(self.rig, state.cameras),
             centres(self.rig, state.cameras),
             self.tracks.camera,
             self.tracks.pixel,
@@ -113,8 +123,32 @@ class Problem:
     ) -> tuple[State, Factor | None]:
         """Levenberg-Marquardt until a step lowers the cost by a share below `gain`.
 
+        Parameters
+        ----------
+        state : State
+            Where it begins.
+        spread : Spread
+            Priors.
+        loss_px, noise_px : float
+            Scale of the robust loss, and deviation of a pixel coordinate, pixels.
+        steps : int
+            At most.
+        gain : float
+            Share of the cost.
+        factor : Factor, optional
+            Of the system at a state nearby.
+
+        Returns
+        -------
+        state : State
+            At the optimum, or after `steps`.
+        factor : Factor or None
+            Of a system near it; None if it would be damped.
+
+        Notes
+        -----
         A factor serves as long as it foretells the gain of its steps: near the optimum systems
-        hardly change. One of before can be given; the last one, if hardly damped, is returned.
+        hardly change.
         """
         damping = FIRST_DAMPING
         cost = self.cost(state, spread, loss_px, noise_px)
@@ -163,7 +197,7 @@ class Problem:
         blocks, gradient = np.zeros((n + len(self._plan.i), 6, 6)), np.zeros((n, 6))
         elimination = np.empty((m, 6, 2)), np.empty((t, 2, 2)), np.empty((t, 2))
         kernels.linearise(
-            self.rig.matrix @ orientation(self.rig, state.cameras),
+            self.rig.matrix @ camera_from_map(self.rig, state.cameras),
             self.rig.matrix[:, None] @ turning(self.rig, state.cameras),
             centres(self.rig, state.cameras),
             self.tracks.camera,

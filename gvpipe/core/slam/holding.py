@@ -9,19 +9,17 @@ from scipy.sparse.linalg import splu
 
 from gvpipe.core.geometry.ground import calibrations
 from gvpipe.core.geometry.twoview import PairPrior
-from gvpipe.core.kernels.links import fit_links, place_links
+from gvpipe.core.kernels.links import fit_links
 from gvpipe.core.slam.links import Link, LinkSet, Matches
-from gvpipe.core.slam.placement import REWEIGHTINGS, place
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Camera, Float, Mount
+from gvpipe.core.slam.placements import place_all
+from gvpipe.core.slam.tilt_search import with_tilts
+from gvpipe.core.types import Camera, Float, Index, Mount
 
 MIN_POINTS = 8
 """Matches below which a link is not used: four fix a homography, the rest must confirm it."""
 
 SAMPLE_POINTS = 32
-SAMPLE_LINKS = 40
-"""Matches of a link that are fitted, and links of a robot that the search for its tilt looks at:
-spread over the picture, more of them change nothing at this stage."""
+"""Matches of a link that are fitted: spread over the picture, more change nothing at this stage."""
 
 PRIOR = PairPrior(
     tilt_i=float(np.radians(4.0)),
@@ -46,17 +44,14 @@ MAX_LOG_SCALE = 0.4
 """A link that can only be explained by a camera held this far (radians) from its configuration,
 or by heights in this (logarithmic) disproportion, is no motion over the ground."""
 
-ANY_TILTS = np.radians(np.arange(5.0, 88.0, 2.5))
-"""Tilts tried where none is configured, radians."""
-
-POOR_MISFIT = 0.3
-"""Relative misfit that an impossible placement counts as in that search."""
-
 HEIGHT_SIGMA = 0.05
 """Pull of every height towards the configured one, relative: chains of ratios drift."""
 
 RATIO_SIGMA = 0.01
 """Ratios of heights are known to about this from one link; well beyond it they lose weight."""
+
+HEIGHT_ROUNDS = 5
+"""Rounds of that reweighting; the last moves no height by a tenth of that uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +95,7 @@ def hold(
     held : Held
     """
     links, ends = linked.links, linked.ends
-    mounts = _with_tilts(links, ends, cameras, mounts, group)
+    mounts = with_tilts(links, ends, cameras, mounts, group)
     sample = linked.matches.sampled(SAMPLE_POINTS)
     placed = place_all(sample, ends, cameras, mounts)
     fits, error_px = _fitted(sample, ends, placed, cameras, mounts)
@@ -115,28 +110,6 @@ def hold(
             for m, (tilt, roll), h in zip(mounts, angles, log_heights, strict=True)
         ],
         reasons,
-    )
-
-
-def place_all(
-    matches: Matches, ends: Index, cameras: Sequence[Camera], mounts: Sequence[Mount]
-) -> Float:
-    """Place both robots of each link on its ground, (E, 7).
-
-    Columns are those of :class:`Placement`; NaN where the matches do not lie on the ground.
-    """
-    inverse = np.asarray(np.linalg.inv(calibrations(cameras)), dtype=np.float64)
-    held = np.array([(m.tilt, m.roll, m.height) for m in mounts]).reshape(-1, 3)
-    return np.asarray(
-        place_links(
-            matches.start,
-            matches.points_i,
-            matches.points_j,
-            ends,
-            held,
-            inverse,
-            REWEIGHTINGS,
-        )
     )
 
 
@@ -226,7 +199,7 @@ def _medians(group: Index, values: Float, count: int) -> Float:
 
 
 def _log_heights(ends: Index, ratios: Float, count: int) -> Float:
-    """Logarithms (N,) of heights over configured ones that explain the links' ratios best."""
+    """Logarithms (N,) of heights over configured ones that explain the links' (E,) ratios best."""
     heights = np.zeros(count)
     if not len(ratios):
         return heights
@@ -241,7 +214,7 @@ def _log_heights(ends: Index, ratios: Float, count: int) -> Float:
         )
     )
     weight = np.full(len(ratios), 1.0 / RATIO_SIGMA**2)
-    for _ in range(5):
+    for _ in range(HEIGHT_ROUNDS):
         weighted = diags_array(weight) @ jacobian
         normal = csc_matrix(jacobian.T @ weighted) + diags_array(
             np.full(count, 1.0 / HEIGHT_SIGMA**2)
@@ -250,45 +223,3 @@ def _log_heights(ends: Index, ratios: Float, count: int) -> Float:
         off = (jacobian @ heights - ratios) / RATIO_SIGMA
         weight = 1.0 / (RATIO_SIGMA**2 * (1.0 + off**2))
     return np.asarray(heights, dtype=np.float64)
-
-
-def _with_tilts(
-    links: Sequence[Link],
-    ends: Index,
-    cameras: Sequence[Camera],
-    mounts: Sequence[Mount],
-    group: Index,
-) -> list[Mount]:
-    """Search the tilt of every robot that has none configured.
-
-    The right one makes the matches of the robot's own pictures most nearly isometries.
-    """
-    out = list(mounts)
-    for robot in np.unique(group).tolist():
-        members = np.nonzero(group == robot)[0].tolist()
-        unknown = [k for k in members if not mounts[k].tilt_known]
-        own = np.nonzero(np.isin(ends, unknown).all(axis=1))[0]
-        if not unknown or not len(own):
-            continue
-        sample = own[:: -(-len(own) // SAMPLE_LINKS)].tolist()
-        scores = []
-        for tilt in ANY_TILTS.tolist():
-            misfits = []
-            for k in sample:
-                i, j = ends[k].tolist()
-                held = replace(mounts[i], tilt=tilt), replace(mounts[j], tilt=tilt)
-                misfits.append(_misfit(links[k], (cameras[i], cameras[j]), held))
-            scores.append(np.mean(misfits))
-        best = float(ANY_TILTS[int(np.argmin(scores))])
-        for k in unknown:
-            out[k] = replace(mounts[k], tilt=best)
-    return out
-
-
-def _misfit(link: Link, cameras: tuple[Camera, Camera], mounts: tuple[Mount, Mount]) -> float:
-    """Misfit of a link's isometry over the radius of its points, bounded."""
-    every = -(-len(link.points_i) // SAMPLE_POINTS)
-    placement = place(link.points_i[::every], link.points_j[::every], cameras, mounts)
-    if placement is None or placement.radius <= 0:
-        return POOR_MISFIT
-    return min(placement.misfit / placement.radius, POOR_MISFIT)

@@ -13,19 +13,15 @@ from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.holding import MIN_POINTS, hold
 from gvpipe.core.slam.links import Link, LinkSet, robot_of
 from gvpipe.core.slam.map_part import MapOptions, Part, Views, adjust_part
-from gvpipe.core.slam.map_result import Gathered, JudgedLink, MapResult, PosedImage, SeenGround
+from gvpipe.core.slam.map_result import Gathered, MapResult, SeenGround
 from gvpipe.core.slam.screening import screen
-from gvpipe.core.slam.tracks import Index
 from gvpipe.core.slam.transfer import median_errors
-from gvpipe.core.types import Camera, Float, Mount
+from gvpipe.core.types import Camera, Float, Index, Mount
 
 __all__ = [
     "ControlPoint",
-    "JudgedLink",
-    "Link",
     "MapOptions",
     "MapResult",
-    "PosedImage",
     "SeenGround",
     "build_map",
 ]

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from gvpipe.core.geometry.ground import calibrations, pixels_from_plane
 from gvpipe.core.kernels.footprints import shared_footprints
-from gvpipe.core.slam.links import Index, robot_of
-from gvpipe.core.types import Camera, Float, Pose
+from gvpipe.core.slam.links import robot_of
+from gvpipe.core.types import Camera, Float, Index, Pose
 
 RANGE_HEIGHTS = 5.0
 """Ground farther away than this many camera heights is too coarse to match."""
@@ -40,12 +40,12 @@ class Candidate:
 def loop_candidates(
     cameras: Mapping[str, Camera],
     poses: Mapping[str, Pose],
-    linked: Collection[tuple[str, str]],
+    tried: Collection[tuple[str, str]],
     *,
     min_share: float,
     max_per_image: int,
 ) -> list[Candidate]:
-    """Image pairs whose footprints overlap in the map but which are not linked.
+    """Image pairs whose footprints overlap in the map and which have not been tried.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def loop_candidates(
         Intrinsics.
     poses : mapping of image id to Pose
         Camera to map, of the images of one component.
-    linked : collection of (str, str)
-        Pairs already matched or tried, in either order.
+    tried : collection of (str, str)
+        Pairs that were matched or rejected, in either order.
     min_share : float
         Smallest :attr:`Candidate.share`, in [0, 1].
     max_per_image : int
@@ -74,7 +74,7 @@ def loop_candidates(
     position = np.array([pose.translation for pose in poses.values()]).reshape(-1, 3)
     projection = pixels_from_plane(calibrations(own), rotation, position)
     ground, first = _ground_seen(projection, size, position)
-    known = [(number[i], number[j]) for i, j in linked if i in number and j in number]
+    known = [(number[i], number[j]) for i, j in tried if i in number and j in number]
     pairs = _near(ground, first, np.array(known, dtype=np.int64).reshape(-1, 2))
     shares = np.asarray(shared_footprints(first, ground, projection, size, pairs))
     found = [
@@ -191,7 +191,7 @@ def without_bridges(
 def gap_candidates(
     order: Sequence[str],
     components: Sequence[Sequence[str]],
-    linked: Collection[tuple[str, str]],
+    tried: Collection[tuple[str, str]],
     *,
     max_gap: int,
 ) -> list[Candidate]:
@@ -203,8 +203,8 @@ def gap_candidates(
         All image ids, robot by robot, in the order they were taken.
     components : sequence of sequences of str
         Images that hang together; images in none of them stand alone.
-    linked : collection of (str, str)
-        Pairs already matched or tried, in either order.
+    tried : collection of (str, str)
+        Pairs that were matched or rejected, in either order.
     max_gap : int
         Largest difference of place in the robot's sequence.
 
@@ -214,7 +214,7 @@ def gap_candidates(
         Nearest in time first.
     """
     part = {image: k for k, images in enumerate(components) for image in images}
-    known = {frozenset(pair) for pair in linked}
+    known = {frozenset(pair) for pair in tried}
     found = []
     for gap in range(1, max_gap + 1):
         for i, j in zip(order, order[gap:], strict=False):

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.core.geometry.ground import calibrations, pixel_from_plane
-from gvpipe.core.geometry.pose import rotation_matrix, upright, yaw_tilt_roll
+from gvpipe.core.geometry.pose import about_z, rotation_matrix, upright, yaw_tilt_roll
 from gvpipe.core.slam.adjustment import adjust, approach, begin, fixed_by, pose_covariances
 from gvpipe.core.slam.control import Control
 from gvpipe.core.slam.correlation import judged_links, shared_errors
 from gvpipe.core.slam.ground_bundle import Problem
 from gvpipe.core.slam.links import LinkSet
-from gvpipe.core.slam.rig import Rig, centres, orientation
-from gvpipe.core.slam.tracks import Index, Tracks, cell_tracks, chain_matches
-from gvpipe.core.types import Camera, Float, Mount, Pose
+from gvpipe.core.slam.rig import Rig, camera_from_map, centres
+from gvpipe.core.slam.tracks import Tracks, cell_tracks, chain_matches
+from gvpipe.core.types import Camera, Float, Index, Mount, Pose
 
 UNKNOWN_TILT_SIGMA = float(np.radians(30.0))
 """Uncertainty of a tilt that was not configured, radians: next to nothing is known."""
@@ -181,12 +181,14 @@ def _rig(views: Views, members: Index) -> Rig:
 
 def _shared(views: Views, members: Index, poses: list[Pose], slot: Index, linked: LinkSet) -> float:
     """How much the errors of matches have in common, from some of the links."""
-    cameras = [views.cameras[k] for k in members.tolist()]
-    plane = [pixel_from_plane(camera, pose) for camera, pose in zip(cameras, poses, strict=True)]
+
+    def pixel_from_map(k: int) -> Float:
+        return pixel_from_plane(views.cameras[members[k]], poses[k])
+
     some = judged_links(len(linked.links))
     ends = slot[linked.ends[some]].tolist()
     return shared_errors(
-        (plane[j] @ np.linalg.inv(plane[i]), link.points_i, link.points_j)
+        (pixel_from_map(j) @ np.linalg.inv(pixel_from_map(i)), link.points_i, link.points_j)
         for (i, j), link in zip(ends, linked.links[some], strict=True)
     )
 
@@ -249,19 +251,20 @@ def _seen_from(origin: Float, planar: Float) -> Float:
 
 def _looked_at(rig: Rig, cameras: Float) -> Float:
     """Ground (N, 2) in the middle of what each camera sees well: what is linked lies near."""
-    axis = orientation(rig, cameras)[:, 2]
+    axis = camera_from_map(rig, cameras)[:, 2]
     reach = np.minimum(-1.0 / np.minimum(axis[:, 2], -1e-9), WELL_SEEN)
     return np.asarray(cameras[:, :2] + axis[:, :2] * (reach * rig.height)[:, None])
 
 
 def _turn(rig: Rig, cameras: Float) -> Float:
     """Rotation (3, 3) about the vertical that brings the axis of camera 0 to x."""
-    angle = -yaw_tilt_roll(orientation(rig, cameras)[0].T)[0]
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return about_z(-yaw_tilt_roll(camera_from_map(rig, cameras)[0].T)[0])
 
 
 def _poses(rig: Rig, cameras: Float, turn: Float) -> list[Pose]:
     """Poses in a frame turned about the vertical."""
-    rotation = orientation(rig, cameras).transpose(0, 2, 1)
-    return [Pose(turn @ r, turn @ t) for r, t in zip(rotation, centres(rig, cameras), strict=True)]
+    map_from_camera = camera_from_map(rig, cameras).transpose(0, 2, 1)
+    return [
+        Pose(turn @ rotation, turn @ centre)
+        for rotation, centre in zip(map_from_camera, centres(rig, cameras), strict=True)
+    ]

@@ -8,9 +8,8 @@ import numpy as np
 from gvpipe.core.slam.closure import Closure, closures
 from gvpipe.core.slam.links import Link
 from gvpipe.core.slam.map_part import Part, Views
-from gvpipe.core.slam.placements import Mask
-from gvpipe.core.slam.tracks import Index, Tracks
-from gvpipe.core.types import Float, Pose
+from gvpipe.core.slam.tracks import Tracks
+from gvpipe.core.types import Float, Index, Mask, Pose
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,26 @@ class MapResult:
 
 @dataclass(frozen=True)
 class Gathered:
-    """Everything known when the map stands, to be told by image and by link."""
+    """Everything known when the map stands, to be told by image and by link.
+
+    Attributes
+    ----------
+    order : sequence of str
+        Image ids by number.
+    views : Views
+        The images.
+    parts : list of Part
+        Components, that of the reference first.
+    ends : (E, 2) int64
+        Numbers of the images of each link.
+    links : sequence of Link
+        All links, used or not.
+    keep : (E,) bool
+        Those that the map rests on.
+    errors_px, distances_m : (E,) float64
+        Median error of each link's matches under the map, in image j and on the ground; NaN
+        where the map cannot tell.
+    """
 
     order: Sequence[str]
     views: Views

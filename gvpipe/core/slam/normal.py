@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gvpipe.core.slam.fronts import Blocks, Dissection, Factor
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Float
+from gvpipe.core.types import Float, Index
 
 
 class Normal:

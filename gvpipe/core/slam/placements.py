@@ -1,14 +1,17 @@
 """What each link says about where its two robots stand, and how far two of them disagree."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gvpipe.core.types import Float
+from gvpipe.core.geometry.ground import calibrations
+from gvpipe.core.kernels.links import place_links
+from gvpipe.core.slam.links import Matches
+from gvpipe.core.types import Camera, Float, Index, Mask, Mount
 
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+REWEIGHTINGS = 9
+"""Rounds of reweighted least squares of a placement; it settles in about five."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,44 @@ class Placements:
 
     def pick(self, keep: Mask | Index) -> "Placements":
         """Return the links under a mask or of given numbers."""
-        return Placements(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+        return Placements(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+
+def place_all(
+    matches: Matches, ends: Index, cameras: Sequence[Camera], mounts: Sequence[Mount]
+) -> Float:
+    """Fit the isometry between the ground frames of each link's two robots (thesis 3.3.4).
+
+    Parameters
+    ----------
+    matches : Matches
+        Of E links.
+    ends : (E, 2) int64
+        Numbers of their images.
+    cameras, mounts : sequence of Camera, sequence of Mount
+        The N views.
+
+    Returns
+    -------
+    placed : (E, 7) float64
+        Centroid of the shared ground points in the robot frames of i and of j (metres), heading
+        of i minus that of j (radians), RMS distance of the points from their centroid, and robust
+        RMS distance between the points of j and those of i brought over (metres); NaN where the
+        matches do not lie on the ground.
+    """
+    inverse = np.asarray(np.linalg.inv(calibrations(cameras)), dtype=np.float64)
+    held = np.array([(m.tilt, m.roll, m.height) for m in mounts]).reshape(-1, 3)
+    return np.asarray(
+        place_links(
+            matches.start,
+            matches.points_i,
+            matches.points_j,
+            ends,
+            held,
+            inverse,
+            REWEIGHTINGS,
+        )
+    )
 
 
 def turned(heading: Float, points: Float) -> Float:

@@ -6,8 +6,7 @@ import numpy as np
 
 from gvpipe.core.geometry.pose import rotation_matrix
 from gvpipe.core.slam.fronts import Blocks
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Float
+from gvpipe.core.types import Float, Index
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class State:
     ----------
     cameras : (N, 6) float64
         x, y (metres), heading, lean about the left axis, lean about the forward axis (radians),
-        logarithm of height over configured height. The orientation is
+        logarithm of height over configured height. The rotation from camera to map is
         ``Rz(heading) exp(leans) robot_from_camera``.
     means : (G, 3) float64
         Mean leans and logarithmic height of each robot.
@@ -72,14 +71,14 @@ class State:
     points: Float
 
 
-def orientation(rig: Rig, cameras: Float) -> Float:
+def camera_from_map(rig: Rig, cameras: Float) -> Float:
     """Rotations (N, 3, 3) from map to camera axes, of cameras (N, 6), see :class:`State`."""
     camera_from_robot = rig.robot_from_camera.transpose(0, 2, 1)
     return np.asarray(camera_from_robot @ _unlean(cameras) @ _unturn(cameras))
 
 
 def turning(rig: Rig, cameras: Float) -> Float:
-    """Differentiate :func:`orientation` by heading and the two leans, (N, 3, 3, 3)."""
+    """Differentiate :func:`camera_from_map` by heading and the two leans, (N, 3, 3, 3)."""
     camera_from_robot = rig.robot_from_camera.transpose(0, 2, 1)
     unlean, unturn = _unlean(cameras), _unturn(cameras)
     turned = np.empty((len(cameras), 3, 3, 3))
@@ -189,7 +188,17 @@ def prior_cost(rig: Rig, state: State, spread: Spread) -> float:
 def prior_normal(rig: Rig, state: State, spread: Spread) -> tuple[Blocks, Float]:
     """Return normal matrix and gradient (of half the cost) of the priors.
 
-    The means of the robots are the border; no cameras share a block.
+    Parameters
+    ----------
+    rig, state, spread : Rig, State, Spread
+        N cameras of G robots, where they are, and the priors.
+
+    Returns
+    -------
+    normal : Blocks
+        Cameras are the places, the means of the robots the border; no cameras share a block.
+    gradient : (6 N + 3 G,) float64
+        Cameras first.
     """
     n, groups = len(state.cameras), len(state.means)
     weight = 1.0 / spread.within[rig.group] ** 2

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gvpipe.core.slam.consistency import agree
-from gvpipe.core.slam.holding import place_all
 from gvpipe.core.slam.links import Link, LinkSet
-from gvpipe.core.slam.placements import Mask, Placements
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Camera, Float, Mount
+from gvpipe.core.slam.placements import Placements, place_all
+from gvpipe.core.types import Camera, Float, Index, Mask, Mount
 
 TOLERANCE = 0.02
 """Share of the camera height by which two placements of the same ground may differ at least."""

@@ -4,15 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from gvpipe.core.kernels.cells import gathered_cells
 from gvpipe.core.slam.links import Matches
-from gvpipe.core.types import Float
-
-Index = NDArray[np.int64]
+from gvpipe.core.types import Float, Index
 
 SAME_CORNER_PX = 0.01
 """Matches of one image that end closer than this, pixels, on a common grid are the same corner.

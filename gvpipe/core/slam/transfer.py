@@ -5,8 +5,7 @@ import numpy as np
 from gvpipe.core.geometry.ground import pixel_from_plane
 from gvpipe.core.kernels.transfer import median_gaps, median_misses
 from gvpipe.core.slam.links import Matches
-from gvpipe.core.slam.tracks import Index
-from gvpipe.core.types import Camera, Float, Pose
+from gvpipe.core.types import Camera, Float, Index, Pose
 
 
 def map_from_pixel(camera: Camera, map_from_camera: Pose) -> Float:
