@@ -48,19 +48,11 @@ def _agreement(
 
 @kernel
 def score_pairs(
-    draws: NDArray[np.int64],
-    ground_i: Float,
-    ground_j: Float,
-    pixels_j: Float,
-    turn: Float,
-    log_growth: Float,
-    pixel_j_from_ground_j: Float,
-    max_log_scale: float,
-    max_turn: float,
-    max_log_growth: float,
-    tolerance_px: float,
-    enough: float,
-) -> Float:
+    draws: NDArray[np.int64], ground_i: Float, ground_j: Float, pixels_j: Float,
+    turn: Float, log_growth: Float, pixel_j_from_ground_j: Float,
+    max_log_scale: float, max_turn: float, max_log_growth: float,
+    tolerance_px: float, enough: float,
+) -> Float:  # fmt: skip
     """Similarity ground_j_from_ground_i of pairs of matches, scored by all matches.
 
     Parameters

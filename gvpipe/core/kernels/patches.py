@@ -216,7 +216,7 @@ def align_patches(
         Of the shift, metres squared.
     """
     n = len(ground)
-    shift, correlation, covariance = np.zeros((n, 2)), np.full(n, LEAVES), np.zeros((n, 2, 2))
+    correlation, shift, covariance = np.full(n, LEAVES), np.zeros((n, 2)), np.zeros((n, 2, 2))
     padded, patch = np.empty((SIDE + 2, SIDE + 2)), np.empty((SIDE, SIDE))
     template, gx, gy = np.empty((SIDE, SIDE)), np.empty((SIDE, SIDE)), np.empty((SIDE, SIDE))
     places = np.empty((3, SIDE + 2))
@@ -230,25 +230,24 @@ def align_patches(
         level_i = _level(step * density_i, len(pyramid_i))
         level_j = _level(step * density_j, len(pyramid_j))
         grey_i, grey_j = pyramid_i[level_i], pyramid_j[level_j]
-        if not _fill(grey_i, level_i, pixel_i_from_ground, x, y, step, HALF + 1, places, padded):
-            continue
-        if not _fill(grey_j, level_j, pixel_j_from_ground, x, y, step, HALF, places, patch):
+        if not (
+            _fill(grey_i, level_i, pixel_i_from_ground, x, y, step, HALF + 1, places, padded)
+            and _fill(grey_j, level_j, pixel_j_from_ground, x, y, step, HALF, places, patch)
+        ):
             continue
         moments = _differentiate(padded, template, gx, gy)
         correlation[k] = LOST if _textured(moments) else BLANK
         if correlation[k] == BLANK:
             continue
         score, dx, dy = _follow(
-            patch, template, gx, gy, moments, grey_j, level_j, pixel_j_from_ground,
-            x, y, step, max_shift, iterations, places,
+            patch, template, gx, gy, moments, grey_j, level_j, pixel_j_from_ground, x, y, step,
+            max_shift, iterations, places,
         )  # fmt: skip
         if score <= 0.0:
             continue
         a, b, d, energy = moments[0], moments[1], moments[2], moments[3]
-        det = a * d - b * b
-        correlation[k] = score
-        shift[k, 0], shift[k, 1] = dx * step, dy * step
-        variance = 2.0 * energy * (1.0 - score) / _COUNT * step * step / det
+        correlation[k], shift[k, 0], shift[k, 1] = score, dx * step, dy * step
+        variance = 2.0 * energy * (1.0 - score) / _COUNT * step * step / (a * d - b * b)
         covariance[k, 0, 0], covariance[k, 1, 1] = variance * d, variance * a
         covariance[k, 0, 1] = covariance[k, 1, 0] = -variance * b
     return shift, correlation, covariance
