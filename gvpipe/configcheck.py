@@ -4,6 +4,7 @@ import re
 import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -183,6 +184,7 @@ def _cross_checks(data: Mapping[str, object]) -> Iterator[Finding]:
             wanted = "1 to 64 letters, digits, _ . or -, beginning with a letter, digit or _"
             message = f"is not a usable name; expected {wanted}"
             yield Finding(("robots", name), message, about_key=True)
+    yield from _check_pair_names(robots)
     for path, robot in _holders(robots):
         camera = robot.get("camera")
         if isinstance(camera, str) and camera not in cameras:
@@ -192,6 +194,17 @@ def _cross_checks(data: Mapping[str, object]) -> Iterator[Finding]:
             yield Finding((*path, "camera"), message)
     yield from _check_ids(data, robots)
     yield from _check_horizon(cameras, robots)
+
+
+def _check_pair_names(robots: Mapping[str, object]) -> Iterator[Finding]:
+    """Results of two robots are filed under both names: no two pairs may share theirs."""
+    pairs: dict[str, tuple[str, str]] = {}
+    for first, second in combinations(robots, 2):
+        filed = f"{first}-{second}"
+        one, other = pairs.setdefault(filed, (first, second))
+        if (one, other) != (first, second):
+            both = f"with {first} is filed as {filed}, which is {one} with {other}, too"
+            yield Finding(("robots", second), f"{both}; expected another name", about_key=True)
 
 
 def _holders(robots: Mapping[str, object]) -> Iterator[tuple[KeyPath, Mapping[str, object]]]:

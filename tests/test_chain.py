@@ -15,8 +15,11 @@ import trimesh
 
 from gvpipe.cli import run
 from gvpipe.core.geometry.homography import apply, transfer_errors
+from gvpipe.core.matching.features import Features, MatchOptions
 from gvpipe.core.mosaic.occupancy import OCCUPIED
+from gvpipe.core.types import View
 from gvpipe.formats.occupancy import read_pgm
+from gvpipe.stages import pairing
 from tests.conftest import BOX_HIGH, STAGES, TinySet, make_tiny_set
 from tests.synthetic import CAMERA, common_ground, true_homography
 
@@ -235,6 +238,26 @@ def test_other_methods_give_the_same_files(chain: TinySet, tmp_path: Path, choic
         mesh = trimesh.load(path, force="mesh", process=True)
         assert mesh.is_watertight, name
         assert mesh.volume == pytest.approx(obstacle["volume_m3"], rel=1e-3)
+
+
+def test_pictures_are_described_once_however_pairs_are_split_up(
+    tiny: TinySet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    described: list[str] = []
+    extract = pairing.extract
+
+    def counted(view: View, options: MatchOptions) -> Features:
+        described.append(view.image_id)
+        return extract(view, options)
+
+    monkeypatch.setattr(pairing, "extract", counted)
+    command = ["match", str(tiny.config), "--set", "match.pairs=exhaustive", "--jobs", "1", "-q"]
+    assert run([*command, "--out", str(tmp_path / "whole")]) == 0
+    monkeypatch.setattr(pairing, "BLOCK", 5)
+    assert run([*command, "--out", str(tmp_path / "parts")]) == 0
+    assert sorted(described) == sorted([*tiny.poses, *tiny.poses])
+    whole, parts = (tmp_path / name / "match" / "match.npz" for name in ("whole", "parts"))
+    assert whole.read_bytes() == parts.read_bytes()
 
 
 def test_artefacts_do_not_depend_on_jobs_or_place(chain: TinySet, tmp_path: Path) -> None:

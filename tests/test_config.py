@@ -146,6 +146,11 @@ MISTAKES = {
         "4:3: robots.a/b: is not a usable name; expected 1 to 64 letters",
     ),
     "dotted name": (MINIMAL.replace("  A:", "  ..:"), "4:3: robots...: is not a usable name"),
+    "pairs of one name": (
+        MINIMAL
+        + "".join(f"  {x}: {{images: a, height: 0.5, tilt: 33}}\n" for x in ("A-B", "B-C", "C")),
+        "7:3: robots.C: with A-B is filed as A-B-C, which is A with B-C, too; expected",
+    ),
     "camera": (
         MINIMAL.replace("tilt: 33", "tilt: 33, camera: cam"),
         "4:49: robots.A.camera: is 'cam'; expected a camera (known: cam0) (did you mean cam0?)",

@@ -13,6 +13,10 @@ from gvpipe.dataset import Dataset
 from gvpipe.parallel import Crashed
 from gvpipe.stages.contract import Context
 
+BLOCK = 1000
+"""Pairs matched before the features of pictures that no later pair needs are let go: neighbours of
+any number of pictures take no more memory than those of a thousand."""
+
 _Described = dict[str, Features | Crashed[tuple[str, MatchOptions]]]
 
 
@@ -54,31 +58,38 @@ def match_pairs(
         pair: context.checkpoints.load(key, PairMatch, Rejected) for pair, key in keys.items()
     }
     wanted = {image for pair in pairs if known[pair] is None for image in pair}
-    images = list(dict.fromkeys(image for pair in pairs for image in pair))
-    features = _described(context, images, wanted, options, on_step)
-    usable = [
-        _Pair(i, j, fi, fj, options, context.config.seed)
-        for i, j in pairs
-        if known[i, j] is None
-        and not isinstance(fi := features[i], Crashed)
-        and not isinstance(fj := features[j], Crashed)
-    ]
-    verdicts = context.workers.map(_match, usable)
-    for pair in pairs:
-        on_step()
-        if (verdict := known[pair]) is not None:
-            yield verdict
-            continue
-        crashed = [image for image in pair if isinstance(features[image], Crashed)]
-        if crashed:
-            yield Rejected(f"the worker process died twice on {crashed[0]}")
-            continue
-        result = next(verdicts)
-        if isinstance(result, Crashed):
-            yield Rejected("the worker process died twice on this pair")
-            continue
-        context.checkpoints.save(keys[pair], result)
-        yield result
+    last = {image: k for k, pair in enumerate(pairs) for image in pair}
+    features: _Described = {}
+    begun: set[str] = set()
+    for start in range(0, len(pairs), BLOCK):
+        block = pairs[start : start + BLOCK]
+        new = [x for x in dict.fromkeys(x for pair in block for x in pair) if x not in begun]
+        begun.update(new)
+        features |= _described(context, new, wanted, options, on_step)
+        usable = [
+            _Pair(i, j, fi, fj, options, context.config.seed)
+            for i, j in block
+            if known[i, j] is None
+            and not isinstance(fi := features[i], Crashed)
+            and not isinstance(fj := features[j], Crashed)
+        ]
+        verdicts = context.workers.map(_match, usable)
+        for pair in block:
+            on_step()
+            if (verdict := known[pair]) is not None:
+                yield verdict
+                continue
+            crashed = [image for image in pair if isinstance(features[image], Crashed)]
+            if crashed:
+                yield Rejected(f"the worker process died twice on {crashed[0]}")
+                continue
+            result = next(verdicts)
+            if isinstance(result, Crashed):
+                yield Rejected("the worker process died twice on this pair")
+                continue
+            context.checkpoints.save(keys[pair], result)
+            yield result
+        features = {x: made for x, made in features.items() if last[x] >= start + BLOCK}
 
 
 def _described(

@@ -117,8 +117,8 @@ def build_map(
         errors_px, distances_m = _errors(views, parts, linked)
         known_px = np.where(enough, errors_px, np.nan)
         revised = np.where(np.isnan(known_px), keep, known_px <= _limit_px(known_px[keep]))
-        if (revised == keep).all() and revision > 0:
-            break
+        if ((revised == keep).all() and revision > 0) or revision == REVISIONS - 1:
+            break  # what is reported is what the map rests on, though it may not have settled
         views, planar = _started(parts, views, planar)
         keep = revised
     judged = Gathered(order, views, parts, ends, links, keep, known_px, distances_m)
