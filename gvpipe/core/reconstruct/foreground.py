@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from gvpipe.core.reconstruct.background import WELL_SEEN, GroundBehind
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.grain import Grain, GrainNoise, grain, missing
 from gvpipe.core.reconstruct.likeness import (
     Features,
     GroundNoise,
@@ -57,16 +58,36 @@ SMEAR = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 """Pixels by which the comparison window smears an obstacle's difference over its outline."""
 
 
-def compared(view: PosedView, seen: GroundBehind) -> Features:
-    """Compare a view with the ground behind it in the view's own light, (H, W) features."""
+def compared(view: PosedView, seen: GroundBehind) -> tuple[Features, Grain]:
+    """Compare a view with the ground behind it in the view's own light, (H, W) each.
+
+    The windows of the grain are as large as the smallest part of a silhouette.
+    """
     ground = without_gloss(view.pixels, seen.colour, seen.support)
-    return features(view.pixels, ground, seen.support > 0)
+    side = round(SPECK_SHARE * view.camera.width) // 2 * 2 + 1
+    return (
+        features(view.pixels, ground, seen.support > 0),
+        grain(view.pixels, ground, _certain(seen), side),
+    )
+
+
+def _agreeing(seen: GroundBehind) -> NDArray[np.float32]:
+    """How well the open views agree on the ground, 0..1."""
+    share = seen.support / np.maximum(seen.open_weight, np.float32(1e-3)) / AGREEING_SHARE
+    return np.clip(share, 0, 1).astype(np.float32)
+
+
+def _certain(seen: GroundBehind) -> NDArray[np.float32]:
+    """How surely the ground is known, 0..1."""
+    certain = seen.support / (seen.support + HALF_SUPPORT) * _agreeing(seen)
+    return certain.astype(np.float32)
 
 
 def cut_out(
     view: PosedView,
     seen: GroundBehind,
     noise: GroundNoise,
+    grain_noise: GrainNoise,
     options: EvidenceOptions,
     extra: NDArray[np.float32],
     first: bool,
@@ -79,8 +100,8 @@ def cut_out(
         With the picture to cut.
     seen : GroundBehind
         The ground behind its pixels.
-    noise : GroundNoise
-        What bare ground differs by.
+    noise, grain_noise : GroundNoise, GrainNoise
+        What bare ground differs by, and what it lacks.
     options : EvidenceOptions
         Scales and thresholds.
     extra : (H, W) or (1,) float32
@@ -94,7 +115,7 @@ def cut_out(
         Probability that a pixel shows an obstacle, NaN where unknown.
     """
     known = seen.support > 0
-    measured = _measured_gain(view, seen, noise, options, first)
+    measured = _measured_gain(view, seen, noise, grain_noise, options, first)
     hidden = (seen.total_weight > WELL_SEEN) & (seen.open_weight < HIDDEN_SHARE * seen.total_weight)
     gain = measured + options.hidden_gain * hidden.astype(np.float32) + extra
     region = segment(gain, view.pixels, options.outline)
@@ -138,17 +159,25 @@ def _guessed(
 
 
 def _measured_gain(
-    view: PosedView, seen: GroundBehind, noise: GroundNoise, options: EvidenceOptions, first: bool
+    view: PosedView,
+    seen: GroundBehind,
+    noise: GroundNoise,
+    grain_noise: GrainNoise,
+    options: EvidenceOptions,
+    first: bool,
 ) -> NDArray[np.float32]:
     """Log odds from the difference between the picture and the ground seen by others."""
     known = seen.support > 0
-    off, recognised = difference(compared(view, seen), noise)
+    pixelwise, areal = compared(view, seen)
+    off, recognised = difference(pixelwise, noise)
     eroded = cv2.erode(np.where(known, off, options.odds).astype(np.float32), SMEAR)
     odds = np.clip(np.log((eroded + 0.3) / options.odds), -GAIN_LIMIT, GAIN_LIMIT)
     odds = np.where(odds < 0, odds * (PLAIN_SHARE + (1 - PLAIN_SHARE) * recognised), odds)
-    agreeing = seen.support / np.maximum(seen.open_weight, 1e-3) / AGREEING_SHARE
-    agreeing = np.clip(agreeing, 0, 1)
-    certain = seen.support / (seen.support + HALF_SUPPORT) * agreeing
+    # equal colour says little where the ground's texture is not there
+    lacks = missing(areal, grain_noise, options.odds)
+    gone = np.clip(np.log((lacks + 0.3) / options.odds) / GAIN_LIMIT, 0, 1)
+    odds = np.where(odds < 0, odds + gone * (PLAIN_SHARE * GAIN_LIMIT - odds), odds)
+    agreeing, certain = _agreeing(seen), _certain(seen)
     # views thought not to see the ground that still agree on its texture do see it
     certain = np.where(odds < 0, np.maximum(certain, recognised * agreeing), certain)
     if not first:  # where most views see a body, gloss on it may pass for ground, texture will not

@@ -96,24 +96,24 @@ def features(picture: Image, background: Single, known: Bool) -> Features:
         (H, W) each.
     """
     inside = known.astype(np.float32)
-    once, mask = 1 / np.maximum(_blur(inside, WINDOW), 1e-3), cv2.merge([inside] * 3)
+    once, mask = 1 / np.maximum(blurred(inside, WINDOW), 1e-3), cv2.merge([inside] * 3)
     inverse_share = cv2.merge([once] * 3)
 
     def mean(values: Single) -> Single:
-        total = _blur(np.asarray(cv2.multiply(values, mask), np.float32), WINDOW)
+        total = blurred(np.asarray(cv2.multiply(values, mask), np.float32), WINDOW)
         return np.asarray(cv2.multiply(total, inverse_share, total), np.float32)
 
     base_mean = mean(background)
-    contrast = _variance(mean(background**2), base_mean)
+    contrast = total_variance(mean(background**2), base_mean)
     texture = np.full(known.shape, np.inf, np.float32)
     shade, own = texture, texture
     for blur in (0.0, *BLURS):
         image = picture.astype(np.float32)
         if blur:
-            image = _blur(image, blur)
+            image = blurred(image, blur)
         image_mean = mean(image)
-        variance = _variance(mean(image**2), image_mean)
-        common = _summed(mean(image * background) - image_mean * base_mean)
+        variance = total_variance(mean(image**2), image_mean)
+        common = summed(mean(image * background) - image_mean * base_mean)
         gain = np.clip(common / np.maximum(contrast, 1e-3), *CONTRAST)
         left = variance - 2 * gain * common + gain**2 * contrast
         texture = np.minimum(texture, np.maximum(left, 0)).astype(np.float32)
@@ -179,7 +179,7 @@ def learn_noise(samples: Sequence[Features]) -> GroundNoise:
         if use.sum() < 100:
             break
         g = f.pick(use)
-        noise = GroundNoise(*_line(g.contrast, g.texture), *_line(g.contrast, g.shade))
+        noise = GroundNoise(*fitted_line(g.contrast, g.texture), *fitted_line(g.contrast, g.shade))
         use = difference(f, noise)[0] < GROUND_LIKE
     return noise
 
@@ -200,13 +200,13 @@ def without_gloss(picture: Image, background: Single, weight: Single) -> Single:
         Plus the mean difference around each pixel of what differs little.
     """
     off = picture.astype(np.float32) - background
-    likely = np.minimum(weight, 1) / (1 + _summed(off**2) / GLOSS_LEVELS**2) ** 2
+    likely = np.minimum(weight, 1) / (1 + summed(off**2) / GLOSS_LEVELS**2) ** 2
     sigma = GLOSS_WIDTH * picture.shape[1]
     # so smooth a field needs few pixels
     factor = max(1, int(sigma / FIELD_SIGMA))
     small = (-(-picture.shape[1] // factor), -(-picture.shape[0] // factor))
     parts = cv2.merge([likely, *cv2.split(likely[..., None] * off)])
-    parts = _blur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), sigma / factor)
+    parts = blurred(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), sigma / factor)
     field = parts[..., 1:] / (parts[..., :1] + np.float32(GLOSS_PRIOR))
     size = (picture.shape[1], picture.shape[0])
     return np.asarray(background + cv2.resize(field, size), np.float32)
@@ -214,12 +214,12 @@ def without_gloss(picture: Image, background: Single, weight: Single) -> Single:
 
 def _shade(off: Single) -> Single:
     """Squared colour difference (H, W), less for what is whiter than expected: gloss adds white."""
-    grey = _summed(off) / 3
-    total = _summed(off**2)
+    grey = summed(off) / 3
+    total = summed(off**2)
     return np.asarray(total - (1 - GLOSS) * 3 * np.maximum(grey, 0) ** 2, np.float32)
 
 
-def _line(x: Single, y: Single) -> tuple[float, float]:
+def fitted_line(x: Single, y: Single) -> tuple[float, float]:
     """Fit base and slope, both >= 0, to the medians of the lowest and the highest third in x."""
     low, high = np.quantile(x, [0.33, 0.67])
     x0, y0 = np.median(x[x <= low]), np.median(y[x <= low])
@@ -228,16 +228,16 @@ def _line(x: Single, y: Single) -> tuple[float, float]:
     return max(float(y0 - slope * x0), 0.3 * float(y0)), slope
 
 
-def _blur(values: Single, sigma: float) -> Single:
+def blurred(values: Single, sigma: float) -> Single:
     """Gaussian blur of any channels, `sigma` in pixels."""
     return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma), np.float32)
 
 
-def _variance(mean_square: Single, mean: Single) -> Single:
+def total_variance(mean_square: Single, mean: Single) -> Single:
     """Sum over the channels of the variance in the window."""
-    return _summed(np.maximum(mean_square - mean**2, 0))
+    return summed(np.maximum(mean_square - mean**2, 0))
 
 
-def _summed(channels: Single) -> Single:
+def summed(channels: Single) -> Single:
     """Sum over three channels: numpy's own, along so short an axis, takes three times as long."""
     return np.asarray(channels[..., 0] + channels[..., 1] + channels[..., 2], np.float32)

@@ -18,6 +18,7 @@ from gvpipe.core.reconstruct.background import (
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.foreground import GAIN_LIMIT, compared, cut_out
 from gvpipe.core.reconstruct.ghosts import without_ghosts
+from gvpipe.core.reconstruct.grain import learn_grain_noise
 from gvpipe.core.reconstruct.hiding import bodies_seen, hidden_ground, tolerant_solids
 from gvpipe.core.reconstruct.likeness import difference, learn_noise
 from gvpipe.core.reconstruct.photometry import levelled
@@ -156,11 +157,11 @@ def _round(
     """Silhouettes of all views, given what is known to be hidden and to stand out."""
     some = _spread(len(witnesses.views), CALIBRATION_VIEWS)
     asked = dict(zip(some, pool.map(lambda k: witnesses.behind(k, scale), some), strict=True))
-    samples = [
-        compared(witnesses.views[k], seen).pick(_every_other(seen.open_weight > WELL_SEEN))
-        for k, seen in asked.items()
-    ]
+    bare = [_every_other(seen.open_weight > WELL_SEEN) for seen in asked.values()]
+    pairs = [compared(witnesses.views[k], seen) for k, seen in asked.items()]
+    samples = [f.pick(where) for (f, _), where in zip(pairs, bare, strict=True)]
     noise = learn_noise(samples)
+    grain_noise = learn_grain_noise([(g, w) for (_, g), w in zip(pairs, bare, strict=True)])
     usual = np.concatenate([difference(f, noise)[0] for f in samples])
     even = options.odds
     if len(usual):  # gloss and uneven light make long tails: ask for more there
@@ -172,7 +173,8 @@ def _round(
         seen = seen or witnesses.behind(index, scale)
         size = (view.camera.width, view.camera.height)
         extra = GAIN_LIMIT * cv2.resize(raised[index], size) if raised else np.zeros(1, np.float32)
-        return cut_out(view, seen, noise, replace(options, odds=even), extra, first)
+        asking = replace(options, odds=even)
+        return cut_out(view, seen, noise, grain_noise, asking, extra, first)
 
     return [_told(shape, on_step) for shape in pool.map(one, range(len(witnesses.views)))]
 
