@@ -19,6 +19,9 @@ MEDIAN_SQUARE = 0.455
 TINY = np.float32(1e-3)
 """Least divisor, of levels squared and of weights: less is rounding."""
 
+FLOOR = np.float32(0.1)
+"""Least expected square of what lacks, levels squared: rounding and compression, averaged."""
+
 LEAST_KNOWN = 0.5
 """Share of a window whose ground must be known."""
 
@@ -68,10 +71,19 @@ class Grain:
 
 @dataclass(frozen=True)
 class GrainNoise:
-    """Expected square on bare ground of what lacks: ``base + slope * contrast``."""
+    """What bare ground does itself, levels squared.
+
+    Attributes
+    ----------
+    base, slope : float
+        Expected square of what lacks: ``base + slope * contrast``.
+    other : float
+        Usual variance of a picture that is not the background's.
+    """
 
     base: float
     slope: float
+    other: float
 
 
 def grain(picture: Image, background: Single, weight: Single, side: int) -> Grain:
@@ -133,7 +145,8 @@ def missing(g: Grain, noise: GrainNoise, odds: float) -> Single:
         be missed, and near places where some of it is found.
     """
     # light or texture of its own, as coarse as the window, may drown the ground's
-    expected = noise.base + noise.slope * g.contrast + g.own
+    drowned = np.maximum(g.own - noise.other, 0)
+    expected = np.maximum(noise.base + noise.slope * g.contrast, FLOOR) + drowned
     asked = g.known > LEAST_KNOWN
     able = asked & (g.contrast > odds * expected) & (g.common < LEAST_COMMON * g.contrast)
     found = (asked & (g.found > odds * expected)).astype(np.uint8)
@@ -142,10 +155,11 @@ def missing(g: Grain, noise: GrainNoise, odds: float) -> Single:
 
 
 def learn_grain_noise(samples: Sequence[tuple[Grain, Bool]]) -> GrainNoise:
-    """Fit the expected square of what lacks to pixels (H, W) most of which show bare ground."""
+    """Learn from pixels (H, W) most of which show bare ground."""
     contrast = np.concatenate([g.contrast[where] for g, where in samples])
     square = np.concatenate([g.lacking[where] for g, where in samples])
     if len(square) < FEWEST_SAMPLES:
-        return GrainNoise(0.0, 1.0)
+        return GrainNoise(0.0, 1.0, 0.0)
+    other = np.concatenate([(g.own - g.found)[where] for g, where in samples])
     base, slope = fitted_line(contrast, square)
-    return GrainNoise(base / MEDIAN_SQUARE, slope / MEDIAN_SQUARE)
+    return GrainNoise(base / MEDIAN_SQUARE, slope / MEDIAN_SQUARE, float(np.median(other)))
