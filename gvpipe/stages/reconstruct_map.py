@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from gvpipe.artefacts import Artefact
 from gvpipe.core.mosaic.hidden import Prism, with_obstacles
 from gvpipe.core.mosaic.raster import MosaicRaster, Posed
+from gvpipe.core.reconstruct.evidence_options import EvidenceOptions
+from gvpipe.core.reconstruct.hull import VIEW_SHARE
 from gvpipe.errors import InputError
 from gvpipe.formats.occupancy import pgm_bytes, read_pgm, yaml_text
 from gvpipe.records import MosaicBody, ObstacleRow
@@ -63,10 +65,11 @@ def map_with_obstacles(
     Returns
     -------
     map : RosMap
-        Occupied under the obstacles, unknown where only their sides were seen.
+        Occupied under the obstacles, free only where one that is not known would have been found.
     """
     prisms = [Prism(row.footprint, row.height_m) for row in obstacles]
-    return RosMap(with_obstacles(bare.cells, prisms, views, bare.raster), bare.raster)
+    least = EvidenceOptions().min_views, VIEW_SHARE
+    return RosMap(with_obstacles(bare.cells, prisms, views, bare.raster, *least), bare.raster)
 
 
 def write_ros_map(ros_map: RosMap, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Ground that known obstacles hide from every camera."""
+"""Ground on which nothing stands, as far as enough cameras see it past the known obstacles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,6 +37,8 @@ def with_obstacles(
     prisms: Sequence[Prism],
     views: Sequence[Posed],
     raster: MosaicRaster,
+    least_views: int,
+    least_share: float,
 ) -> NDArray[np.int8]:
     """Correct an occupancy grid by what stands on the ground.
 
@@ -50,19 +52,23 @@ def with_obstacles(
         All cameras of the map.
     raster : MosaicRaster
         Of the cells.
+    least_views, least_share : int, float
+        Views that must see a place for an obstacle there to be found, and their share of the views
+        that see the best seen one.
 
     Returns
     -------
     cells : (H, W) int8
-        A copy: occupied under the obstacles; unknown where it was free though they hide the
-        ground there from every camera, which then saw their sides.
+        A copy: occupied under the obstacles; unknown where it was free though fewer cameras see
+        the ground there past them: what they saw may be the side of an obstacle, known or not.
     """
-    visible = np.zeros(cells.shape, np.uint8)
+    count = np.zeros(cells.shape, np.uint16)
     for view in views:
         ground = outline(view, raster.resolution)
         if len(ground):
-            visible |= _sight(view, ground, prisms, cells.shape, raster)
-    hidden = (cells == FREE) & (visible == 0)
+            count += _sight(view, ground, prisms, cells.shape, raster)
+    enough = max(least_views, least_share * int(count.max(initial=0)))
+    hidden = (cells == FREE) & (count < enough)
     known = np.where(hidden, UNKNOWN, cells).astype(np.int8)
     return draw_footprints(known, [p.footprint for p in prisms], raster.map_from_pixel)
 
