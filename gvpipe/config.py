@@ -128,7 +128,7 @@ with warnings.catch_warnings():
         """Which images of different robots show the same ground."""
 
         distance: Literal["absolute", "squared", "intersection", "chi2"] = Field("intersection", description="distance between colour histograms")
-        threshold: float = Field(0.2, gt=0, le=2, description="a candidate's histogram distance is below this")
+        threshold: float = Field(0.2, gt=0, le=2, description="a candidate's histogram distance is below this; pictures that share distinctive spots are candidates at any distance")
         validate: Literal["first", "all"] = Field("all", description="all = every candidate by a homography, first = best first, until the robots are joined")  # type: ignore[assignment]
 
 

@@ -87,6 +87,8 @@ def mesh(
         rows.append(("volume in common", f"{document['iou']:.4f} of the union"))
     except ValueError as error:
         rows.append(("volume in common", f"not measured: {error}"))
+    if not errors.fscore:
+        rows.append(("", "no surface is near the other: in another frame? see --poses"))
     finish("evaluate mesh", rows, document, json_path, reporter)
 
 

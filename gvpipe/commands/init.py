@@ -11,6 +11,7 @@ from gvpipe.commands.found_robots import Found, find_robots, upright
 from gvpipe.commands.ground_calibration import GroundCalibration, from_ground
 from gvpipe.commands.init_text import CameraGuess, RobotGuess, config_text
 from gvpipe.commands.output import write_file
+from gvpipe.configcheck import HIGH_M
 from gvpipe.configfile import load_config
 from gvpipe.core.calibration.self_calibration import EXPECTED_FOCAL
 from gvpipe.core.types import Rejected
@@ -111,7 +112,11 @@ def _heights(robots: Sequence[RobotGuess]) -> list[tuple[str, str]]:
     """Say what is taken for the height of each robot's camera."""
     unknown = [robot.name for robot in robots if not robot.measured]
     rows = [
-        (f"{robot.name}: height", f"{robot.height_m:g} m, the median of its pictures")
+        (
+            f"{robot.name}: height",
+            f"{robot.height_m:g} m, the median of its pictures"
+            + ": higher than floors are mapped from; in metres?" * (robot.height_m > HIGH_M),
+        )
         for robot in robots
         if robot.measured
     ]

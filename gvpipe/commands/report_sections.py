@@ -127,8 +127,8 @@ def _closing(slam: SlamBody) -> str:
     before = 1000 * median(row.concatenated_m for row in slam.closing)
     after = 1000 * median(row.adjusted_m for row in slam.closing)
     return (
-        f'<p class="soft">Closing error of the {len(slam.closing)} loops and overlaps, median: '
-        f"{after:.2f} mm; plain concatenation of the motions: {before:.1f} mm.</p>"
+        f'<p class="soft">Closing error of the {len(slam.closing)} longest loops of single robots, '
+        f"median: {after:.2f} mm; plain concatenation of the motions: {before:.1f} mm.</p>"
     )
 
 

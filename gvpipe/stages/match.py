@@ -1,6 +1,6 @@
 """Ground homographies between pairs of pictures."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -64,7 +64,11 @@ def run(context: Context) -> Outcome[MatchBody, MatchPoints]:
         MatchBody(pairs=rows),
         points,
         no_result=None if matched else _why_none(rows),
-        summary=(("pairs", f"{matched} of {len(rows)} matched"), *_rejections(rows)),
+        summary=(
+            ("pairs", f"{matched} of {len(rows)} matched"),
+            *_unmatched(rows),
+            *_rejections(rows),
+        ),
     )
 
 
@@ -114,6 +118,20 @@ def _why_none(rows: Iterable[PairRow]) -> str:
     if first is None:
         return "there is no pair of images to match"
     return f"no pair matched; the first, {first.image_i} and {first.image_j}: {first.reason}"
+
+
+def _unmatched(rows: Sequence[PairRow]) -> tuple[tuple[str, str], ...]:
+    """Say which robots have none of their own pairs matched: a wrong key spoils all of them."""
+    own: dict[str, list[bool]] = {}
+    for row in rows:
+        robot, other = (image.split("/", 1)[0] for image in (row.image_i, row.image_j))
+        if robot == other:
+            own.setdefault(robot, []).append(row.status == "ok")
+    return tuple(
+        (f"robots.{robot}", f"none of {len(ok)} pairs matched: are fx, tilt and height right?")
+        for robot, ok in own.items()
+        if len(ok) > 1 and not any(ok)
+    )
 
 
 def _rejections(rows: Iterable[PairRow]) -> tuple[tuple[str, str], ...]:
