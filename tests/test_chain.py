@@ -298,6 +298,15 @@ def test_fresh_artefacts_are_kept_and_stale_ones_are_named(
     assert "gvpipe match" in error
 
 
+def test_a_robot_without_any_match_is_named(tiny: TinySet, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
+    command = ["match", str(tiny.config), "--out", str(tmp_path / "o"), "--jobs", "1"]
+    assert run([*command, "--set", "robots.B.tilt=5"]) == 0
+    said = capsys.readouterr().out
+    assert "robots.B" in said
+    assert "none of 6 pairs matched" in said
+    assert "robots.A" not in said
+
+
 def test_missing_artefacts_name_the_command(tiny: TinySet, tmp_path: Path, capsys) -> None:  # type: ignore[no-untyped-def]
     for stage, maker in [("localize", "match"), ("mosaic", "slam"), ("reconstruct", "slam")]:
         assert run([stage, str(tiny.config), "--out", str(tmp_path / "o")]) == 4
