@@ -36,17 +36,9 @@ def _apart(
 
 @kernel
 def grow_map(
-    i: Index,
-    j: Index,
-    centre_i: Float,
-    centre_j: Float,
-    turn: Float,
-    radius: Float,
-    allowed: Float,
-    trust: Float,
-    first: Index,
-    touching: Index,
-) -> tuple[Float, Index]:
+    i: Index, j: Index, centre_i: Float, centre_j: Float, turn: Float, radius: Float,
+    allowed: Float, trust: Float, first: Index, touching: Index,
+) -> tuple[Float, Index]:  # fmt: skip
     """Place the images one by one, each where most of its links to placed images want it.
 
     Parameters
