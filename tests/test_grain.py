@@ -39,6 +39,18 @@ def test_a_plain_area_of_the_grounds_colour_lacks_its_texture(contrast):
     assert not bare.any()
 
 
+def test_a_gap_in_the_texture_of_the_ground_is_closed_and_its_outline_kept():
+    picture, ground = scene(15.0)
+    plain = np.s_[50:70, 82:86]
+    ground[plain] = ground.mean(axis=(0, 1))
+    lacks = lacking(picture, ground) > ODDS
+    assert lacks[plain].mean() > 0.9
+    # less than half a window beyond it, where windows show more of the obstacle than of ground
+    beyond = lacks.copy()
+    beyond[40 - SIDE // 2 : 80 + SIDE // 2, 60 - SIDE // 2 : 110 + SIDE // 2] = False
+    assert not beyond.any()
+
+
 def test_light_does_not_take_the_texture_away():
     lacks = lacking(*scene(10.0, gain=0.8, offset=15.0))
     lacks[20:100, 40:130] = 0

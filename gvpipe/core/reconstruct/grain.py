@@ -141,17 +141,18 @@ def missing(g: Grain, noise: GrainNoise, odds: float) -> Single:
     Returns
     -------
     missing : (H, W) float32
-        Squared difference in units of the expected; 0 where the ground's texture is too faint to
-        be missed, and near places where some of it is found.
+        Squared difference in units of the expected. Ground with too little texture to be missed
+        says nothing: 0, unless places that lack theirs lie around it, less than a window apart.
     """
     # light or texture of its own, as coarse as the window, may drown the ground's
     drowned = np.maximum(g.own - noise.other, 0)
     expected = np.maximum(noise.base + noise.slope * g.contrast, FLOOR) + drowned
-    asked = g.known > LEAST_KNOWN
-    able = asked & (g.contrast > odds * expected) & (g.common < LEAST_COMMON * g.contrast)
-    found = (asked & (g.found > odds * expected)).astype(np.uint8)
-    near = cv2.dilate(found, np.ones((g.side, g.side), np.uint8)) > 0
-    return np.where(able & ~near, g.lacking / expected, 0).astype(np.float32)
+    able = (g.known > LEAST_KNOWN) & (g.contrast > odds * expected)
+    lacks = able & (g.common < LEAST_COMMON * g.contrast)
+    square = np.where(lacks, g.lacking / expected, np.float32(0)).astype(np.float32)
+    # a window speaks for all its pixels; closing lends that to gaps, but takes no ground beyond
+    closed = cv2.morphologyEx(square, cv2.MORPH_CLOSE, np.ones((g.side, g.side), np.uint8))
+    return np.asarray(closed, np.float32)
 
 
 def learn_grain_noise(samples: Sequence[tuple[Grain, Bool]]) -> GrainNoise:
