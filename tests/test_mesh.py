@@ -5,8 +5,15 @@ import pytest
 import trimesh
 from scipy import ndimage
 
+from gvpipe.core.reconstruct.ghosts import standing_obstacles
 from gvpipe.core.reconstruct.grid import VoxelGrid
-from gvpipe.core.reconstruct.mesh import Mesh, find_obstacles, join, polygon_area, surface
+from gvpipe.core.reconstruct.mesh import (
+    Mesh,
+    find_obstacles,
+    join,
+    polygon_area,
+    surface,
+)
 from gvpipe.core.reconstruct.visibility import colour, project, render_depth, sees, surface_points
 from tests.test_carving import CENTRE, RADIUS, ball_view, texture
 
@@ -98,6 +105,19 @@ def test_obstacles_are_listed_with_their_measures() -> None:
     assert as_trimesh(whole).is_watertight
     assert whole.volume == pytest.approx(box.volume_m3 + sphere.volume_m3, rel=1e-9)
     assert len(find_obstacles(u, GRID, smallest_m3=1e-7)) == 3
+
+
+def test_what_floats_over_nothing_is_no_obstacle() -> None:
+    shelf = np.minimum(block(-0.15, 0.03, 0.2, 0.06), -block(-0.15, 0.03, 0.16, 0.07))
+    foot = block(-0.15, 0.03, 0.05, 0.06)
+    missed_foot = ball(0.15, 0.0, 0.1, 0.08)
+    floating = ball(0.0, -0.1, 0.16, 0.04)
+    alone = np.maximum.reduce([shelf, missed_foot, floating])
+    (sphere,) = standing_obstacles(find_obstacles(alone, GRID))
+    assert sphere.centroid == pytest.approx([0.15, 0.0, 0.1], abs=1e-3)
+    # the same shelf over a foot is one obstacle seen in two parts
+    kept = standing_obstacles(find_obstacles(np.maximum(alone, foot), GRID))
+    assert sorted(round(o.height_m, 2) for o in kept) == [0.05, 0.18, 0.2]
 
 
 def test_closed_voids_count_as_solid() -> None:

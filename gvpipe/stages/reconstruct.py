@@ -11,6 +11,7 @@ from gvpipe.core.reconstruct.agreement import ONE_SIDE_DEG, agreement
 from gvpipe.core.reconstruct.background import GroundModel
 from gvpipe.core.reconstruct.evidence import find_regions
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
+from gvpipe.core.reconstruct.ghosts import standing_obstacles
 from gvpipe.core.reconstruct.grid import VoxelGrid
 from gvpipe.core.reconstruct.mesh import Obstacle, find_obstacles
 from gvpipe.core.reconstruct.silhouette import count_steps, silhouettes
@@ -57,7 +58,8 @@ def run(context: Context) -> Outcome[ReconstructBody, Reconstruction]:
             grid = grid_over(region, views, settings.grid)
             solved.append(SolvedRegion(grid, _solution(context, grid, views, shapes)))
             ticker.advance()
-    found = [o for s in solved for o in find_obstacles(s.solution.u, s.grid)]
+    bodies = [o for s in solved for o in find_obstacles(s.solution.u, s.grid)]
+    found = standing_obstacles(bodies)
     found.sort(key=lambda obstacle: -obstacle.volume_m3)
     rows = _rows(found, views, shapes)
     solutions = [s.solution for s in solved]

@@ -9,8 +9,9 @@ from scipy import ndimage
 
 from gvpipe.core.reconstruct.evidence_options import EvidenceOptions, Silhouette
 from gvpipe.core.reconstruct.hull import render_mask, search_grid, tolerant_hull
+from gvpipe.core.reconstruct.mesh import Obstacle
 from gvpipe.core.reconstruct.views import reduced
-from gvpipe.core.types import PosedView
+from gvpipe.core.types import Float, PosedView
 
 TOLERANCE = 0.05
 """Share of the views that may contradict a body."""
@@ -77,6 +78,33 @@ def without_ghosts(
         wide = cv2.resize(only.astype(np.uint8), shape.shape[::-1], interpolation=cv2.INTER_NEAREST)
         cleaned.append(np.where(wide > 0, np.float32(0), shape))
     return cleaned
+
+
+def standing_obstacles(found: Sequence[Obstacle]) -> list[Obstacle]:
+    """Drop what floats: obstacles rest on the ground or on each other.
+
+    The foot of one may be missed where its colours are the ground's, but not the greater part of
+    it: a body over more air than it is high, and over no other one, is where silhouettes of
+    something else happen to meet.
+
+    Parameters
+    ----------
+    found : sequence of Obstacle
+
+    Returns
+    -------
+    standing : list of Obstacle
+        In the same order.
+    """
+    spans = [(o.mesh.vertices.min(axis=0), o.mesh.vertices.max(axis=0)) for o in found]
+
+    def rests(low: Float, high: Float) -> bool:
+        return low[2] <= high[2] - low[2] or any(
+            bottom[2] < low[2] and (bottom[:2] < high[:2]).all() and (low[:2] < top[:2]).all()
+            for bottom, top in spans
+        )
+
+    return [o for o, span in zip(found, spans, strict=True) if rests(*span)]
 
 
 def _sampled(mask: NDArray[np.bool_], view: PosedView) -> NDArray[np.bool_]:
